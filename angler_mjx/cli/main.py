@@ -22,6 +22,7 @@ from angler_mjx.cli import (
     export,
     fly,
     gallery,
+    leaderboard,
     mission,
     replay,
     rollout,
@@ -66,6 +67,12 @@ GROUPS: dict[str, dict[str, Callable[..., None]]] = {
         "stats": dataset.show_stats,
     },
     "env": {"make": env.make_environments, "show": env.show_environment},
+    "leaderboard": {
+        "problems": leaderboard.write_problems,
+        "plan": leaderboard.plan,
+        "check": leaderboard.check,
+        "build": leaderboard.build,
+    },
     "mission": {"import": mission.import_mission, "export": mission.export_mission},
     "sitl": {
         "install": sitl.install_ardusub,
@@ -77,6 +84,7 @@ GROUPS: dict[str, dict[str, Callable[..., None]]] = {
         "list": scenarios.list_scenarios,
         "show": scenarios.show_scenario,
         "reference": scenarios.print_reference,
+        "import": scenarios.import_problem,
     },
     "study": {"fleet_size": fleet_size.fleet_size},
     "vehicle": {
@@ -97,6 +105,10 @@ def _env_group() -> None:
     """Generate environments into a file, and render one of them."""
 
 
+def _leaderboard_group() -> None:
+    """Write the frozen problems of ANGLER-1, plan and judge submissions, build their board."""
+
+
 def _mission_group() -> None:
     """Import missions of ground stations as scenarios and plans, export plans as missions."""
 
@@ -106,7 +118,7 @@ def _sitl_group() -> None:
 
 
 def _scenarios_group() -> None:
-    """List the shipped scenarios, print one, or print the keys of scenario and vehicle files."""
+    """List the shipped scenarios, print one, import problems, print the keys of files."""
 
 
 def _study_group() -> None:
@@ -146,6 +158,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "spotcheck": spotcheck.spotcheck,
     "vehicle": _vehicle_group,
     "benchmark": benchmark.benchmark,
+    "leaderboard": _leaderboard_group,
     "bench": bench.bench,
     "control": control.control,
     "tune": tune.tune,

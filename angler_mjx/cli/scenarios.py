@@ -1,6 +1,7 @@
 """`angler scenarios`: list shipped scenarios, print a file, print the keys of such files."""
 
 import sys
+from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
@@ -43,3 +44,49 @@ def print_reference(file: Annotated[Literal["scenario", "vehicle"], tyro.conf.Po
     from angler_mjx.scenario.reference import format_page
 
     sys.stdout.write(format_page(file))
+
+
+def import_problem(
+    file: Annotated[Path, tyro.conf.Positional],
+    map_: Annotated[Path | None, tyro.conf.arg(name="map")] = None,
+    robots: int | None = None,
+    region: tuple[int, ...] = (),
+    scale_m: float = 1.5,
+    layers: int = 3,
+    vehicle: str = "bluerov2_heavy",
+    out: Path | None = None,
+) -> None:
+    """Import a planning problem of another benchmark as a scenario; list what differs from it.
+
+    Args:
+        file: MovingAI's .scen or .3dscen, or a problem of db-CBS or dynobench (.yaml).
+        map_: Map of MovingAI's files (.map or .3dmap); the one that they name, beside them, if left
+            out.
+        robots: Number of robots: the first rows of MovingAI's files, the first robots of others;
+            all of the latter if left out.
+        region: Part of a map, first cell and last cell along each axis: x0 y0 x1 y1, or x0 y0 z0 x1
+            y1 z1; all if left out.
+        scale_m: Metres of a unit of the file: a cell's edge, or a length of 1.
+        layers: Cells along z of problems in the plane.
+        vehicle: Name of a shipped vehicle, or path of a vehicle file.
+        out: Scenario file to write; must not exist. NAME.toml here if left out.
+    """
+    from angler_mjx.cli.shared.inputs import require_positive
+    from angler_mjx.report.interop.problem_files import import_problem as importing
+    from angler_mjx.runs.storage.atomic_files import replace_file
+
+    imported = importing.import_problem(
+        file,
+        map_file=map_,
+        robots=require_positive("robots", robots),
+        region=region or None,
+        scale_m=scale_m,
+        layers=layers,
+        vehicle=vehicle,
+    )
+    target = Path(f"{imported.scenario.name}.toml") if out is None else out
+    with replace_file(target, flag="--out") as writing:
+        writing.write_text(imported.text, encoding="utf-8")
+    for note in imported.notes:
+        print(note)
+    print(target)

@@ -7,6 +7,7 @@ run flies, the programs of the next ones are compiled.
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TypedDict
 
 from angler_mjx.files import FileModel
@@ -19,6 +20,7 @@ from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.simulator_cache import MAX_AHEAD, SimulatorCache
 from angler_mjx.runs.storage import folder, results_folder
 from angler_mjx.runs.storage.atomic_files import write_json
+from angler_mjx.runs.storage.plans.read import open_plans
 from angler_mjx.scenario.scenario import Scenario
 
 REQUEST_FILE = "making.json"
@@ -73,6 +75,7 @@ def fly_runs(
     progress: Progress,
     processes: Processes,
     options: RunOptions,
+    plans: Mapping[str, Path] = MappingProxyType({}),
 ) -> bool:
     """Fly what is left of several runs; whether all are whole now.
 
@@ -82,6 +85,7 @@ def fly_runs(
         progress: of how far it is.
         processes: processes that share each run.
         options: options of every run.
+        plans: files of plans that runs fly instead of their planner's, by the runs' places.
     """
     parts = tuple(parts)
     with SimulatorCache() as simulators:
@@ -92,13 +96,13 @@ def fly_runs(
             status = group.meet("stands", status)[0]
             if status == "whole":
                 continue
-            _begin_compiling(parts[number:], building, simulators, options)
+            _begin_compiling(parts[number:], building, simulators, options, plans)
             progress.describe("compiling")
-            simulator = simulators.of(path, _simulator_builder(scenario, building / path, options))
-            out = building / path
-            fly = partial(rollout.rollout, scenario, out=out)
+            out, plan_file = building / path, plans.get(path)
+            simulator = simulators.of(path, _simulator_builder(scenario, out, options, plan_file))
+            fly = partial(rollout.rollout, scenario, out=out, plans=plan_file)
             if status == "begun":
-                fly = partial(rollout.resume, out)
+                fly = partial(rollout.resume, out, plans=plan_file)
             chunk = options.get("chunk")
             run = fly(simulator=simulator, chunk=chunk, progress=progress, processes=group)
             if not run.summary["complete"]:
@@ -113,21 +117,24 @@ def _begin_compiling(
     building: Path,
     simulators: SimulatorCache,
     options: RunOptions,
+    plans: Mapping[str, Path],
 ) -> None:
     """Begin to compile the first run and those after it that are not whole."""
     ahead = [part for part in parts if run_status(building / part[0]) != "whole"]
     for path, scenario in ahead[: 1 + MAX_AHEAD]:
-        simulators.begin(path, _simulator_builder(scenario, building / path, options))
+        build = _simulator_builder(scenario, building / path, options, plans.get(path))
+        simulators.begin(path, build)
 
 
 def _simulator_builder(
-    scenario: Scenario, path: Path, options: RunOptions
+    scenario: Scenario, path: Path, options: RunOptions, plan_file: Path | None
 ) -> Callable[[], Simulator]:
     """Return the function that builds the simulator of a run; one that is begun keeps its tile."""
+    paths = None if plan_file is None else open_plans(plan_file, scenario).shape
     if run_status(path) == "begun":
         scenario = folder.read_scenario(results_folder.locate_folder(path))
     devices, workers = options.get("devices"), options.get("workers")
-    return partial(Simulator, scenario, devices=devices, workers=workers)
+    return partial(Simulator, scenario, devices=devices, workers=workers, paths=paths)
 
 
 def run_status(path: Path) -> str:

@@ -26,7 +26,7 @@ from angler_mjx.world.currents import (
 )
 from angler_mjx.world.currents.ground import BathymetryConfig
 from angler_mjx.world.obstacles import DriftingSampler, ObstaclesConfig
-from angler_mjx.world.rock.rules import AutomatonRule, OpenRule, Rule, WallsRule
+from angler_mjx.world.rock.rules import AutomatonRule, CellsRule, OpenRule, Rule, WallsRule
 
 type Vector = tuple[Coordinate, Coordinate, Coordinate]
 type Placement = Literal["cross", "parallel", "random", "given"]
@@ -202,7 +202,7 @@ def resolve_world(config: WorldConfig) -> WorldRecipe:
             f"the grid, which is at a depth of {depth} m"
         )
     rule = config.rule or preset.rule
-    if isinstance(rule, WallsRule):
+    if isinstance(rule, WallsRule | CellsRule):
         rule.check(shape)
     obstacles = config.obstacles or preset.obstacles
     if obstacles.dynamic.count > 0 and obstacles.dynamic.radius_m[1] >= cell:

@@ -1,7 +1,8 @@
 """Rules that generate the static cells of a world, as named by a preset or a file.
 
 Each rule is a model for files; `sample_cells` turns a rule and random keys into cells, one world
-for each key. The result is always one cavern: free cells outside the largest cavern are filled.
+for each key. The result of random rules is one cavern: free cells outside the largest one are
+filled. Maps stay as they are.
 """
 
 import math
@@ -9,6 +10,7 @@ from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from pydantic import Field
 
 from angler_kernels.bit_grid import full_grid, pack_grid
@@ -60,11 +62,58 @@ class OpenRule(FileModel):
     type: Literal["open"] = "open"
 
 
-type Rule = Annotated[AutomatonRule | WallsRule | OpenRule, Field(discriminator="type")]
+class MapLayer(FileModel):
+    """A horizontal layer of a map, or several equal ones."""
+
+    rows: tuple[str, ...] = Field(min_length=2, max_length=128)
+    """Rows from north to south; a letter for each cell, from west to east: # rock, . water."""
+    count: int = Field(default=1, ge=1, le=128)
+    """Number of layers of cells that are like this one."""
+
+
+class CellsRule(FileModel):
+    """Cells of a map, the same in all worlds."""
+
+    type: Literal["cells"] = "cells"
+    layers: tuple[MapLayer, ...] = Field(min_length=1, max_length=128)
+    """Layers from the bottom up."""
+
+    def check(self, shape: Shape) -> None:
+        """Raise a ConfigError if the map is not of the grid's shape, or has other letters."""
+        layers = sum(layer.count for layer in self.layers)
+        if layers != shape[2]:
+            raise ConfigError(
+                f"rule.layers: {layers} layers, the grid has {shape[2]}, shape = {shape}"
+            )
+        for i, layer in enumerate(self.layers):
+            if len(layer.rows) != shape[1]:
+                raise ConfigError(
+                    f"rule.layers.{i}.rows: {len(layer.rows)} rows, the grid has {shape[1]} along "
+                    f"y, shape = {shape}"
+                )
+            for j, row in enumerate(layer.rows):
+                if len(row) != shape[0] or set(row) - {"#", "."}:
+                    raise ConfigError(
+                        f"rule.layers.{i}.rows.{j}: must be {shape[0]} letters # or ., as many as "
+                        f"cells along x; has {len(row)}"
+                    )
+
+    def cells(self) -> np.ndarray:
+        """Return whether each cell is rock, bool [nx, ny, nz]."""
+        layers = [
+            np.array([[letter == "#" for letter in row] for row in layer.rows[::-1]]).T
+            for layer in self.layers
+            for _ in range(layer.count)
+        ]
+        return np.stack(layers, axis=2)
+
+
+type AnyRule = AutomatonRule | WallsRule | OpenRule | CellsRule
+type Rule = Annotated[AutomatonRule | WallsRule | OpenRule | CellsRule, Field(discriminator="type")]
 
 
 def sample_cells(
-    rule: AutomatonRule | WallsRule | OpenRule,
+    rule: AnyRule,
     shape: Shape,
     fill: float | jax.Array,
     keys: jax.Array,
@@ -103,6 +152,9 @@ def sample_cells(
             )
         case OpenRule():
             return jnp.zeros((*whole.shape[:3], keys.shape[0]), jnp.uint32)
+        case CellsRule():
+            packed = pack_grid(jnp.asarray(rule.cells()))[..., None]
+            return jnp.broadcast_to(packed, (*packed.shape[:3], keys.shape[0]))
 
 
 def _sample_walls(rule: WallsRule, shape: Shape, key: jax.Array) -> jax.Array:

@@ -29,6 +29,7 @@ def write_problems(
     advance: Callable[[int], None] = lambda done: None,
     *,
     raw: bool = False,
+    extend: Callable[[zarr.Group, list[Problem]], None] | None = None,
 ) -> None:
     """Write the problems of a scenario's worlds to a new file; all of it or nothing.
 
@@ -38,6 +39,7 @@ def write_problems(
         advance: called with the number of worlds done after each tile.
         raw: write each array of each world as one file of plain little-endian numbers in C order,
             ``NAME/c/WORLD/0/0...``, that can be read without a Zarr library or a codec.
+        extend: writes further arrays and attributes into the group, from all of its problems.
 
     Raises:
         ConfigError: the path exists.
@@ -46,6 +48,7 @@ def write_problems(
     total, tile = simulator.scenario.worlds, simulator.tile
     with results_folder.build_folder(path, kind="file of problems") as building:
         group = zarr.open_group(building, mode="a")
+        written: list[Problem] = []
         for first in range(0, total, tile):
             problems = simulator.problems(first, min(tile, total - first))
             batch = jax.tree.map(
@@ -59,6 +62,10 @@ def write_problems(
                     array = group.get_array(name)
                 array[first : first + len(rows)] = rows
             advance(first + len(problems))
+            if extend is not None:
+                written += problems
+        if extend is not None:
+            extend(group, written)
 
 
 def _without_name(problem: Problem) -> Problem:

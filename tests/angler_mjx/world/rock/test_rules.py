@@ -8,8 +8,9 @@ import pytest
 from scipy import ndimage
 
 from angler_kernels.bit_grid import unpack_grid
+from angler_mjx.errors import ConfigError
 from angler_mjx.world.config import WorldConfig, resolve_world
-from angler_mjx.world.rock.rules import sample_cells
+from angler_mjx.world.rock.rules import CellsRule, sample_cells
 
 from ...compiling import quickly
 
@@ -85,3 +86,46 @@ def test_a_corridor_has_walls_with_square_gates():
         for wall in world[per_layer > 0]:
             y, z = np.nonzero(~wall)
             assert (np.ptp(y), np.ptp(z)) == (2, 2)
+
+
+MAP = {
+    "type": "cells",
+    "layers": [{"rows": ["#..", ".#."], "count": 2}, {"rows": ["...", "###"]}],
+}
+
+
+def test_a_map_is_the_same_in_all_worlds_and_stays_as_it_is():
+    rule = CellsRule.model_validate(MAP)
+    shape = (3, 2, 3)
+    cells = np.asarray(sample_cells(rule, shape, 0.0, jax.random.split(jax.random.key(0), 4)))
+    for world in range(4):
+        found = {
+            (x, y, z)
+            for x in range(3)
+            for y in range(2)
+            for z in range(3)
+            if int(cells[x, y, z // 32, world]) >> (z % 32) & 1
+        }
+        # The last row is the southernmost, y = 0; the first layer is the lowest.
+        lower = {(0, 1), (1, 0)}
+        upper = {(x, 0, 2) for x in range(3)}
+        assert found == {(x, y, z) for x, y in lower for z in (0, 1)} | upper
+
+
+@pytest.mark.parametrize(
+    ("shape", "message"),
+    [
+        ((3, 2, 4), "rule.layers: 3 layers, the grid has 4"),
+        ((3, 3, 3), r"rule.layers.0.rows: 2 rows, the grid has 3 along y"),
+        ((4, 2, 3), r"rule.layers.0.rows.0: must be 4 letters # or \., as many .* has 3"),
+    ],
+)
+def test_a_map_that_does_not_fit_the_grid_is_refused(shape, message):
+    with pytest.raises(ConfigError, match=message):
+        CellsRule.model_validate(MAP).check(shape)
+
+
+def test_a_map_with_other_letters_is_refused():
+    rule = CellsRule.model_validate({"layers": [{"rows": ["#.", "x."]}]})
+    with pytest.raises(ConfigError, match=r"rows\.1"):
+        rule.check((2, 2, 1))

@@ -1,0 +1,1 @@
+"""ANGLER-1: frozen planning problems, submissions, and the board of their scores."""

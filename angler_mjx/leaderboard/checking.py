@@ -1,0 +1,389 @@
+"""Checking of a submission: its plans are flown in truth, and the referee judges every flight.
+
+The results folder holds ``result.json``, ``card.toml``, and the run folder of each set that had a
+plan, without its trajectories unless they are to be kept.
+"""
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from angler_mjx import __version__
+from angler_mjx.errors import ConfigError
+from angler_mjx.files import parse_model
+from angler_mjx.leaderboard import problem_files, problem_sets, sandbox, submission
+from angler_mjx.leaderboard.problem_files import Manifest
+from angler_mjx.leaderboard.problem_sets import FrozenBenchmark, ProblemSet
+from angler_mjx.leaderboard.submission import Card, InFlightConfig, PlanRows
+from angler_mjx.progress import Progress
+from angler_mjx.runs import multi_run
+from angler_mjx.runs.processes import OneProcess
+from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.runs.resumable_folder import open_folder
+from angler_mjx.runs.storage import checksums, folder
+from angler_mjx.runs.storage.atomic_files import write_json
+from angler_mjx.runs.storage.read_errors import read_table
+from angler_mjx.scenario.editing import scenario_table
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.testing import referee
+
+RESULT, ANSWERS, PROBLEMS = "result.json", "answers", "problems"
+LEVELS = ("nothing", "observed", "predicted", "truth")
+"""Information levels, the least first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProblemScore:
+    """Score of one problem."""
+
+    problem: str
+    set: str
+    robots: int
+    solved: bool
+    """Whether every robot arrived, in time, and the referee agrees."""
+    planned: int
+    """Robots with a path; all of them where none is needed."""
+    arrived: int
+    makespan_s: float | None
+    """Arrival of the last robot; null unless solved."""
+    bound_s: float
+    """Time of the longest straight line from start to goal at cruise speed: no makespan is less
+    in still water."""
+    energy_j: float
+    """Energy of all robots until their ends."""
+    clearance_m: float | None
+    """Least distance of any robot to rock, floor, obstacles and other robots; null unless flown."""
+    planning_s: float | None
+    """Planning time on the card's machine; null if it is not known."""
+    reason: str
+    """Why it is not solved; empty if it is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckedSet:
+    """A set of a submission on its way to its scores."""
+
+    entry: ProblemSet
+    scenario: Scenario
+    rows: PlanRows | None
+    """Plans; None where a planner or policy of the package flies."""
+    bound_s: tuple[float, ...]
+    """Of each problem; see `ProblemScore`."""
+
+    @property
+    def run(self) -> str:
+        """Place of its run in the results folder."""
+        return f"{multi_run.RUNS_FOLDER}/{self.entry.name}"
+
+    @property
+    def flies(self) -> bool:
+        """Whether there is anything to fly."""
+        return self.rows is None or bool(np.any(self._planned() > 0))
+
+    def _planned(self) -> np.ndarray:
+        assert self.rows is not None
+        is_fault = np.array([bool(fault) for fault in self.rows.faults])
+        counts: np.ndarray = np.where(is_fault[:, None], 0, self.rows.arrays["points"])
+        return counts
+
+
+def check_submission(
+    source: Path,
+    out: Path,
+    progress: Progress,
+    *,
+    manifest: Manifest,
+    secret: bytes = problem_sets.PUBLIC,
+    sets: tuple[str, ...] = (),
+    resume: bool = False,
+    keep_flights: bool = False,
+) -> bool:
+    """Judge a submission into a results folder; whether all of it was judged.
+
+    Args:
+        source: folder of the submission.
+        out: results folder to make.
+        progress: receives the progress.
+        manifest: of the problems.
+        secret: that their seeds were made with; empty for the public problems.
+        sets: sets or parts of their names that are judged; all entered ones if left out.
+        resume: go on with an interrupted check.
+        keep_flights: keep the trajectories, for replays.
+
+    Raises:
+        ConfigError: the card cannot be understood, or the folder is taken.
+        UnsupportedError: the sandbox for programs is not installed.
+        RunError: the disk gave out.
+    """
+    benchmark, card = problem_sets.load_benchmark(), submission.read_card(source)
+    entered = submission.select_entered(benchmark, card, source)
+    chosen = {entry.name for entry in problem_sets.select_problem_sets(benchmark, sets)}
+    entries = [entry for entry in entered if entry.name in chosen]
+    if not entries:
+        raise ConfigError(f"--sets {' '.join(sets)}: {source} enters none of them")
+    if card.kind == "program":
+        sandbox.require_sandbox()
+    request = {
+        "submission": checksums.hash_folder(source),
+        "problems": manifest.sha256(),
+        "sets": [entry.name for entry in entries],
+    }
+    declared = multi_run.declare_folder(
+        "check of a submission", request, models={}, is_complete=_is_complete
+    )
+    with open_folder(declared, out, resume=resume, processes=OneProcess()) as opened:
+        building = opened.building
+        shutil.copyfile(source / submission.CARD, building / submission.CARD)
+        checked = _collect_plans(
+            benchmark, card, source, building, entries, manifest, secret, progress
+        )
+        flown = [one for one in checked if one.flies]
+        plans = {one.run: _answer_file(building, one.entry) for one in flown if one.rows}
+        parts = [(one.run, one.scenario) for one in flown]
+        if not multi_run.fly_runs(parts, building, progress, OneProcess(), {}, plans):
+            return False
+        scores = _judge_sets(checked, building, progress)
+        opened.publish(
+            partial(_write_result, card, manifest, entries, scores, keep_flights=keep_flights)
+        )
+    return True
+
+
+def _is_complete(out: Path) -> bool:
+    return (out / RESULT).is_file()
+
+
+def _answer_file(building: Path, entry: ProblemSet) -> Path:
+    return building / ANSWERS / f"{entry.name}.zarr"
+
+
+def _collect_plans(
+    benchmark: FrozenBenchmark,
+    card: Card,
+    source: Path,
+    building: Path,
+    entries: Sequence[ProblemSet],
+    manifest: Manifest,
+    secret: bytes,
+    progress: Progress,
+) -> list[CheckedSet]:
+    """Read, or make in the sandbox, the plans of all sets, and write them as they will be flown."""
+    (building / ANSWERS).mkdir(exist_ok=True)
+    if card.program is not None:
+        problem_files.write_problem_files(
+            benchmark, entries, building / PROBLEMS, progress, secret=secret, frozen=manifest
+        )
+    checked = []
+    for number, entry in enumerate(entries):
+        record = manifest.find(entry.name)
+        scenario = problem_files.build_set_scenario(benchmark, entry, record.attempt, secret)
+        if scenario.digest() != record.digest:
+            raise ConfigError(
+                f"{entry.name}: this version makes other worlds (digest {scenario.digest()[:12]}) "
+                f"than those of the manifest ({record.digest[:12]})"
+            )
+        progress.describe(f"plans of {entry.name} ({number + 1} of {len(entries)})")
+        if card.in_flight is not None:
+            flown = build_flown_scenario(scenario, card.in_flight, submission.CARD)
+            checked.append(
+                CheckedSet(entry=entry, scenario=flown, rows=None, bound_s=record.bound_s)
+            )
+            continue
+        if card.program is not None:
+            problems = building / PROBLEMS
+            rows = sandbox.plan_set(source, card.program, entry, scenario, record, problems)
+        else:
+            path = source / submission.PLANS / f"{entry.name}.zarr"
+            rows = submission.read_plans(path, entry, record, scenario.planner.points)
+        one = CheckedSet(entry=entry, scenario=scenario, rows=rows, bound_s=record.bound_s)
+        # An interrupted check flies the plans that its flight was begun with.
+        if one.flies and multi_run.run_status(building / one.run) == "none":
+            submission.write_plans(_answer_file(building, entry), scenario, rows)
+        checked.append(one)
+    return checked
+
+
+def build_flown_scenario(scenario: Scenario, config: InFlightConfig, source: str) -> Scenario:
+    """Return the scenario of a set as a planner or policy flies it.
+
+    Its information is that of the set, or the lower level that it asks for.
+
+    Raises:
+        ConfigError: a key is unknown, or the planner cannot plan these problems.
+    """
+    table = scenario_table(scenario)
+    levels = scenario.planner.information.model_dump()
+    planner = {**table["planner"], **config.planner}
+    policy = dict(config.policy)
+    for part in (planner, policy):
+        part["information"] = limit_information(levels, part.get("information"))
+    if not policy.get("name"):
+        policy = {}
+    flown = {**table, "planner": planner, "policy": policy, "execution": dict(config.execution)}
+    return parse_model(Scenario, flown, source=f"{source} ({scenario.name})")
+
+
+def limit_information(
+    levels: Mapping[str, str], wanted: Mapping[str, str] | None
+) -> dict[str, str]:
+    """Return the lower one of the set's level and of what is asked for, of each part."""
+    return {
+        part: min(level, (wanted or levels).get(part, "nothing"), key=LEVELS.index)
+        for part, level in levels.items()
+    }
+
+
+def _judge_sets(
+    checked: Sequence[CheckedSet], building: Path, progress: Progress
+) -> list[ProblemScore]:
+    """Have the referee recompute all flights, and score them."""
+    scores: list[ProblemScore] = []
+    progress.start(sum(one.entry.problems for one in checked), unit="problems judged")
+    for one in checked:
+        progress.describe(f"judging {one.entry.name}")
+        if one.flies:
+            scores += _judge_flown(one, building / one.run)
+        else:
+            scores += [_unflown_score(one, world) for world in range(one.entry.problems)]
+        progress.advance(one.entry.problems)
+    return scores
+
+
+def _judge_flown(one: CheckedSet, path: Path) -> list[ProblemScore]:
+    run = folder.Run(path)
+    verdict = referee.judge(path)
+    faults: dict[int, str] = {}
+    for finding in verdict.differences:
+        if finding.result == "disagrees":
+            faults.setdefault(finding.world, f"the referee disagrees: {finding.line()}")
+    if verdict.counts["outcome"].exact < verdict.robots:
+        raise ConfigError(f"{path}: the referee could not recompute all outcomes")
+    by_world: dict[int, list[dict[str, Any]]] = {}
+    for row in run.episodes.to_pylist():
+        by_world.setdefault(row["world"], []).append(row)
+    return [
+        _flown_score(one, world, by_world[world], faults.get(world, ""))
+        for world in range(one.entry.problems)
+    ]
+
+
+def _flown_score(
+    one: CheckedSet, world: int, episodes: Sequence[Mapping[str, Any]], fault: str
+) -> ProblemScore:
+    arrived = [row for row in episodes if row["outcome"] == "reached"]
+    reason = fault or _find_fault(one, world) or _find_late(one, world)
+    missing = [row for row in episodes if row["plan_reason"]]
+    if not reason and missing:
+        reason = f"robot {missing[0]['robot']} has no plan: {missing[0]['plan_reason']}"
+    if not reason and len(arrived) < len(episodes):
+        first = next(row for row in episodes if row["outcome"] != "reached")
+        reason = f"robot {first['robot']}: {first['outcome']}"
+    clearances = [
+        value
+        for row in episodes
+        for value in (row["min_clearance_m"], row["min_separation_m"])
+        if value is not None
+    ]
+    solved = not reason
+    return ProblemScore(
+        problem=f"{one.entry.name}/{world}",
+        set=one.entry.name,
+        robots=len(episodes),
+        solved=solved,
+        planned=sum(bool(row["planned"]) or one.rows is None for row in episodes),
+        arrived=len(arrived),
+        makespan_s=max(row["time_to_goal_s"] for row in arrived) if solved else None,
+        bound_s=one.bound_s[world],
+        energy_j=sum(row["energy_j"] for row in episodes),
+        clearance_m=min(clearances),
+        planning_s=_planning_s(one, world, episodes),
+        reason=reason,
+    )
+
+
+def _unflown_score(one: CheckedSet, world: int) -> ProblemScore:
+    return ProblemScore(
+        problem=f"{one.entry.name}/{world}",
+        set=one.entry.name,
+        robots=one.entry.robots,
+        solved=False,
+        planned=0,
+        arrived=0,
+        makespan_s=None,
+        bound_s=one.bound_s[world],
+        energy_j=0.0,
+        clearance_m=None,
+        planning_s=_planning_s(one, world, ()),
+        reason=_find_fault(one, world) or "no plan",
+    )
+
+
+def _planning_s(one: CheckedSet, world: int, episodes: Sequence[Mapping[str, Any]]) -> float | None:
+    if one.rows is None:
+        return episodes[0]["planning_s"] if episodes else None
+    seconds = float(one.rows.planning_s[world])
+    return seconds if np.isfinite(seconds) else None
+
+
+def _find_fault(one: CheckedSet, world: int) -> str:
+    return one.rows.faults[world] if one.rows is not None else ""
+
+
+def _find_late(one: CheckedSet, world: int) -> str:
+    seconds = _planning_s(one, world, ())
+    if seconds is None or seconds <= one.entry.limit_s:
+        return ""
+    return f"planned for {seconds:.3g} s, at most {one.entry.limit_s:g} s"
+
+
+def _write_result(
+    card: Card,
+    manifest: Manifest,
+    entries: Sequence[ProblemSet],
+    scores: Sequence[ProblemScore],
+    building: Path,
+    *,
+    keep_flights: bool,
+) -> None:
+    """Write the result, and remove what nobody needs any more."""
+    environment = describe_environment()
+    write_json(
+        building / RESULT,
+        {
+            "benchmark": manifest.benchmark,
+            "problems_sha256": manifest.sha256(),
+            "hidden": manifest.secret != problem_sets.digest_secret(problem_sets.PUBLIC),
+            "card": card.model_dump(mode="json", exclude_none=True),
+            "entered": [entry.name for entry in entries],
+            "physics": {"angler-mjx": __version__, "commit": environment.get("commit")},
+            "judged_on": environment["device"],
+            "scores": [asdict(score) for score in scores],
+        },
+    )
+    (building / multi_run.REQUEST_FILE).unlink()
+    for name in (ANSWERS, PROBLEMS):
+        shutil.rmtree(building / name, ignore_errors=True)
+    if not keep_flights:
+        for path in (building / multi_run.RUNS_FOLDER).glob(f"*/{folder.TRAJECTORIES}"):
+            shutil.rmtree(path)
+
+
+def read_result(out: Path) -> dict[str, Any]:
+    """Read the result of a check.
+
+    Raises:
+        ConfigError: there is none, it is damaged, or it is of another version of the benchmark.
+    """
+    path = out / RESULT if out.is_dir() else out
+    if not path.is_file():
+        raise ConfigError(f"{out}: holds no {RESULT}; angler leaderboard check makes one")
+    table = read_table(path)
+    title = problem_sets.load_benchmark().title
+    if table.get("benchmark") != title:
+        raise ConfigError(f"{path}: is of {table.get('benchmark')!r}, this program has {title!r}")
+    return table

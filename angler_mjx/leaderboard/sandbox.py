@@ -1,0 +1,303 @@
+"""Programs that plan, run one problem at a time in a sandbox.
+
+Bubblewrap gives a program namespaces of its own: no network, no user rights, no processes but its
+own, and no files but system libraries, its folder (read-only), the problem (read-only) and an empty
+folder for its plan. Memory, processor time, processes and file sizes are limited; at the time limit
+the whole sandbox is killed.
+"""
+
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from angler_mjx.errors import UnsupportedError
+from angler_mjx.leaderboard import problem_sets, submission
+from angler_mjx.leaderboard.problem_files import SetRecord
+from angler_mjx.leaderboard.problem_sets import ProblemSet
+from angler_mjx.leaderboard.submission import PlanRows, ProgramConfig
+from angler_mjx.scenario.scenario import Scenario
+
+FOLDER = "program"
+"""Folder of the program in a submission."""
+GRACE = 1.0
+"""Seconds beyond the limit for starting the sandbox and the program."""
+NOBODY = 65534
+"""User and group inside, and outside where this process is root."""
+MAX_FILE_BYTES = 64 * 2**20
+"""Size of a file that a program may write."""
+_SYSTEM_FOLDERS = ("/usr", "/bin", "/lib", "/lib64", "/etc/alternatives", "/etc/ld.so.cache")
+"""Folders of programs and libraries, read-only in the sandbox."""
+
+
+def require_sandbox() -> str:
+    """Return the path of bubblewrap.
+
+    Raises:
+        UnsupportedError: it is not installed, or the kernel does not let it make namespaces.
+    """
+    path = shutil.which("bwrap")
+    if path is None:
+        raise UnsupportedError(
+            "programs of submissions are run by bubblewrap: apt-get install bubblewrap; or judge "
+            'plans (kind = "plans")'
+        )
+    test = subprocess.run(
+        [
+            path,
+            "--unshare-all",
+            "--ro-bind",
+            "/usr",
+            "/usr",
+            "--symlink",
+            "usr/lib64",
+            "/lib64",
+            "--symlink",
+            "usr/lib",
+            "/lib",
+            "/usr/bin/true",
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if test.returncode:
+        raise UnsupportedError(f"bubblewrap does not work on this machine: {test.stderr.strip()}")
+    return path
+
+
+def plan_set(
+    source: Path,
+    config: ProgramConfig,
+    entry: ProblemSet,
+    scenario: Scenario,
+    record: SetRecord,
+    problems: Path,
+) -> PlanRows:
+    """Run a program once for each problem of a set, and gather its plans.
+
+    A problem whose program fails, is late, or writes nothing usable has the reason instead.
+
+    Args:
+        source: folder of the submission.
+        config: the program.
+        entry: the set.
+        scenario: of the set.
+        record: of the set, in the manifest.
+        problems: folder of problem files.
+    """
+    return merge_rows(
+        [
+            _plan_problem(source, config, entry, scenario, record, problems, world)
+            for world in range(entry.problems)
+        ]
+    )
+
+
+def _plan_problem(
+    source: Path,
+    config: ProgramConfig,
+    entry: ProblemSet,
+    scenario: Scenario,
+    record: SetRecord,
+    problems: Path,
+    world: int,
+) -> PlanRows:
+    single = problem_sets.single_problem(entry)
+    with tempfile.TemporaryDirectory(prefix="angler-sandbox-") as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        shutil.copytree(source / FOLDER, folder / FOLDER)
+        extract_problem(problems / f"{entry.name}.zarr", world, folder / "problem.zarr")
+        (folder / "out").mkdir()
+        (folder / "out").chmod(0o777)
+        begin = time.perf_counter()
+        fault = run_program(config, folder, entry.limit_s)
+        seconds = time.perf_counter() - begin
+        if fault:
+            rows = submission.empty_rows(single, fault)
+        else:
+            one = SetRecord(
+                name=record.name,
+                attempt=record.attempt,
+                digest=record.digest,
+                sha256=record.sha256[world : world + 1],
+                bound_s=record.bound_s[world : world + 1],
+            )
+            path = folder / "out" / "plan.zarr"
+            rows = submission.read_plans(path, single, one, scenario.planner.points)
+    return PlanRows(
+        arrays=rows.arrays, planning_s=np.array([min(seconds, entry.limit_s)]), faults=rows.faults
+    )
+
+
+def extract_problem(group: Path, world: int, out: Path) -> None:
+    """Copy one problem of a set's raw file into a file of its own, as its world 0.
+
+    Args:
+        group: of the set, written with one chunk per world.
+        world: index of the problem.
+        out: to make.
+    """
+    for source in sorted(group.rglob("zarr.json")):
+        target = out / source.parent.relative_to(group)
+        target.mkdir(parents=True, exist_ok=True)
+        metadata = json.loads(source.read_text(encoding="utf-8"))
+        if metadata["node_type"] == "group":
+            for name in ("problems", "sha256"):
+                if name in metadata["attributes"]:
+                    metadata["attributes"][name] = metadata["attributes"][name][world : world + 1]
+        elif metadata["dimension_names"][0] == "world":
+            metadata["shape"][0] = 1
+            chunk = source.parent / "c" / str(world)
+            copy = shutil.copytree if chunk.is_dir() else shutil.copyfile
+            (target / "c").mkdir()
+            copy(chunk, target / "c" / "0")
+        else:
+            shutil.copytree(source.parent / "c", target / "c")
+        (target / "zarr.json").write_text(json.dumps(metadata), encoding="utf-8")
+
+
+def run_program(config: ProgramConfig, folder: Path, limit_s: float) -> str:
+    """Run a program on one problem; returns what went wrong, or an empty text.
+
+    Args:
+        config: command and limits.
+        folder: with ``program``, ``problem.zarr``, and ``out`` for the plan.
+        limit_s: planning time.
+    """
+    command = [
+        require_sandbox(),
+        "--unshare-all",
+        "--die-with-parent",
+        "--new-session",
+        "--cap-drop",
+        "ALL",
+        "--uid",
+        str(NOBODY),
+        "--gid",
+        str(NOBODY),
+        "--clearenv",
+        "--setenv",
+        "PATH",
+        "/usr/local/bin:/usr/bin:/bin",
+        *(part for path in _SYSTEM_FOLDERS for part in _bind_system(path)),
+        "--proc",
+        "/proc",
+        "--dev",
+        "/dev",
+        "--size",
+        str(MAX_FILE_BYTES),
+        "--tmpfs",
+        "/tmp",
+        "--ro-bind",
+        str(folder / FOLDER),
+        "/program",
+        "--ro-bind",
+        str(folder / "problem.zarr"),
+        "/problem.zarr",
+        "--bind",
+        str(folder / "out"),
+        "/out",
+        "--chdir",
+        "/program",
+        *config.command,
+        "/problem.zarr",
+        "/out/plan.zarr",
+    ]
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        **_unprivileged(),
+        preexec_fn=partial(_limit_resources, config, limit_s),
+    )
+    try:
+        _, errors = process.communicate(timeout=limit_s + GRACE)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        return f"did not end within {limit_s:g} s"
+    if process.returncode == 0:
+        return ""
+    lines = errors.decode(errors="replace").strip().splitlines()
+    text = f": {lines[-1][:200]}" if lines else ""
+    if process.returncode in (128 + signal.SIGXCPU, 128 + signal.SIGKILL):
+        return f"was killed at a limit of time or memory{text}"
+    return f"ended with status {process.returncode}{text}"
+
+
+def _unprivileged() -> dict[str, Any]:
+    """Return the user that the sandbox runs as: nobody, where this process is root.
+
+    The kernel limits the processes of users other than root only.
+    """
+    return {"user": NOBODY, "group": NOBODY, "extra_groups": []} if os.geteuid() == 0 else {}
+
+
+def _bind_system(path: str) -> Sequence[str]:
+    """Return bubblewrap's arguments for a system folder, or its link."""
+    if os.path.islink(path):
+        return ("--symlink", os.readlink(path), path)
+    return ("--ro-bind", path, path) if os.path.exists(path) else ()
+
+
+def _limit_resources(config: ProgramConfig, limit_s: float) -> None:
+    """Set the limits of the sandbox's processes, in the child."""
+    memory = int(config.memory_gib * 2**30)
+    seconds = max(1, int(np.ceil(limit_s * config.processes)))
+    limits: dict[int, int] = {
+        resource.RLIMIT_AS: memory,
+        resource.RLIMIT_CPU: seconds,
+        resource.RLIMIT_FSIZE: MAX_FILE_BYTES,
+        resource.RLIMIT_CORE: 0,
+        resource.RLIMIT_NOFILE: 256,
+        # Bubblewrap itself has two, and its threads are counted.
+        resource.RLIMIT_NPROC: config.processes + 3,
+    }
+    for kind, limit in limits.items():
+        resource.setrlimit(kind, (limit, limit))
+
+
+def merge_rows(parts: Sequence[PlanRows]) -> PlanRows:
+    """Join the plans of single problems; arrays that only some have are left out of none.
+
+    Args:
+        parts: of one problem each, in their order.
+    """
+    points = max(part.arrays["time_s"].shape[2] for part in parts)
+    names = sorted({name for part in parts for name in part.arrays})
+    arrays = {
+        name: np.concatenate([_widen(part, name, points, parts) for part in parts])
+        for name in names
+    }
+    return PlanRows(
+        arrays=arrays,
+        planning_s=np.concatenate([part.planning_s for part in parts]),
+        faults=[fault for part in parts for fault in part.faults],
+    )
+
+
+def _widen(part: PlanRows, name: str, points: int, parts: Sequence[PlanRows]) -> np.ndarray:
+    """Return an array of a part with so many points; zeros where the part lacks it."""
+    if name == "points":
+        return part.arrays[name]
+    example = next(other.arrays[name] for other in parts if name in other.arrays)
+    shape = (*part.arrays["points"].shape, points, *example.shape[3:])
+    wide = np.zeros(shape, example.dtype)
+    if name in part.arrays:
+        values = part.arrays[name]
+        wide[:, :, : values.shape[2]] = values
+    return wide

@@ -1,0 +1,246 @@
+"""Submissions: a folder with a card and plans, read without trust in any of it.
+
+    card.toml           who, what, on which machine, and which sets are entered
+    plans/SET.zarr      a file of plans for each set (docs/reference/plan_files.md)
+
+What is wrong with a file makes its problems fail, with the reason; only a card that cannot be
+understood is refused.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import zarr
+from pydantic import Field
+
+from angler_mjx.errors import AnglerError, ConfigError, format_value
+from angler_mjx.files import FileModel, parse_model, read_toml
+from angler_mjx.leaderboard import problem_sets
+from angler_mjx.leaderboard.problem_files import SetRecord
+from angler_mjx.leaderboard.problem_sets import FrozenBenchmark, ProblemSet
+from angler_mjx.runs.storage.plans.read import SCHEMA, SCHEMA_VERSION
+from angler_mjx.runs.storage.read_errors import wrap_read_errors
+from angler_mjx.scenario.scenario import Scenario
+
+CARD, PLANS = "card.toml", "plans"
+MAX_FILE_POINTS = 1024
+"""Points of a path that are read; a file with wider arrays is refused."""
+_OPTIONAL_WIDTHS = {"yaw_rad": 0, "velocity": 4, "acceleration": 4, "degree": 0}
+"""Optional arrays of a file of plans, with the size of the axis behind that of the points."""
+
+type Text = Annotated[str, Field(min_length=1, max_length=2000)]
+
+
+class ProgramConfig(FileModel):
+    """A program that plans problem by problem, run in a sandbox."""
+
+    command: Annotated[tuple[str, ...], Field(min_length=1, max_length=64)]
+    """Program and arguments; relative to the submission's folder ``program``. It receives the paths
+    of the problem and of the plan to write as two further arguments."""
+    memory_gib: Annotated[float, Field(gt=0, le=64)] = 4.0
+    processes: Annotated[int, Field(ge=1, le=256)] = 16
+
+
+class InFlightConfig(FileModel):
+    """A planner or policy of the package that commands the robots in flight."""
+
+    planner: dict[str, Any] = Field(default_factory=dict)
+    """Keys of a scenario's ``planner``."""
+    policy: dict[str, Any] = Field(default_factory=dict)
+    """Keys of a scenario's ``policy``."""
+    execution: dict[str, Any] = Field(default_factory=dict)
+    """Keys of a scenario's ``execution``."""
+
+
+class Card(FileModel):
+    """The card of a submission."""
+
+    schema_version: Literal[1] = 1
+    benchmark: Text
+    """Name and version of the benchmark."""
+    name: Text
+    """Name on the board."""
+    authors: Annotated[tuple[Text, ...], Field(max_length=100)] = ()
+    description: Annotated[str, Field(max_length=2000)] = ""
+    url: Annotated[str, Field(max_length=500)] = ""
+    kind: Literal["plans", "program", "in_flight"] = "plans"
+    machine: Annotated[str, Field(max_length=500)] = ""
+    """Machine of the planning times."""
+    sets: tuple[Text, ...] = ()
+    """Sets or parts of names of sets that are entered; all if left out."""
+    program: ProgramConfig | None = None
+    in_flight: InFlightConfig | None = None
+
+
+def read_card(folder: Path) -> Card:
+    """Read the card of a submission.
+
+    Raises:
+        ConfigError: there is none, it has faults, or it is of another benchmark.
+    """
+    path = folder / CARD
+    if not path.is_file():
+        raise ConfigError(f"{folder}: is no submission: {CARD} is missing")
+    card = parse_model(Card, read_toml(path), source=str(path))
+    title = problem_sets.load_benchmark().title
+    if card.benchmark != title:
+        raise ConfigError(
+            f"{path}: benchmark = {format_value(card.benchmark)}: this program judges "
+            f"{format_value(title)}"
+        )
+    for kind, table in (("program", card.program), ("in_flight", card.in_flight)):
+        if (card.kind == kind) != (table is not None):
+            raise ConfigError(
+                f"{path}: kind = {format_value(card.kind)}: the table [{kind}] must be there for "
+                f"kind = {format_value(kind)}, and for no other"
+            )
+    return card
+
+
+def select_entered(benchmark: FrozenBenchmark, card: Card, source: Path) -> list[ProblemSet]:
+    """Return the sets that a card enters.
+
+    Raises:
+        ConfigError: a name fits no set.
+    """
+    try:
+        return problem_sets.select_problem_sets(benchmark, card.sets)
+    except ConfigError as error:
+        raise ConfigError(f"{source / CARD}: sets: {error}") from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanRows:
+    """Plans of the problems of a set, of one shape whatever the file had."""
+
+    arrays: Mapping[str, np.ndarray]
+    """``points`` int32 [world, robot], ``time_s`` float32 [world, robot, point], ``position_m``
+    float32 [world, robot, point, 3], and optional arrays of the file."""
+    planning_s: np.ndarray
+    """float [world], as stated or measured; NaN if unknown."""
+    faults: Sequence[str] = field(default=())
+    """Reason of each problem that has no usable plan as a whole; empty texts for others."""
+
+
+def empty_rows(entry: ProblemSet, reason: str) -> PlanRows:
+    """Return rows without a path, whose problems all fail for a reason."""
+    shape = (entry.problems, entry.robots)
+    return PlanRows(
+        arrays={
+            "points": np.zeros(shape, np.int32),
+            "time_s": np.zeros((*shape, 2), np.float32),
+            "position_m": np.zeros((*shape, 2, 3), np.float32),
+        },
+        planning_s=np.full(entry.problems, np.nan),
+        faults=[reason] * entry.problems,
+    )
+
+
+def read_plans(path: Path, entry: ProblemSet, record: SetRecord, max_points: int) -> PlanRows:
+    """Read the plans of a set; what cannot be used has a reason instead.
+
+    Args:
+        path: of the file of plans.
+        entry: the set.
+        record: of it, in the manifest.
+        max_points: points that a path may have.
+    """
+    if not path.exists():
+        return empty_rows(entry, f"{path.name} is missing")
+    try:
+        with wrap_read_errors(path):
+            return _read_group(path, entry, record, max_points)
+    except AnglerError as error:
+        return empty_rows(entry, str(error))
+
+
+def _read_group(path: Path, entry: ProblemSet, record: SetRecord, max_points: int) -> PlanRows:
+    group = zarr.open_group(path, mode="r")
+    attributes = dict(group.attrs)
+    if (attributes.get("schema"), attributes.get("schema_version")) != (SCHEMA, SCHEMA_VERSION):
+        raise ConfigError(f"{path.name}: holds no plans of schema version {SCHEMA_VERSION}")
+    if attributes.get("digest") != record.digest:
+        raise ConfigError(
+            f"{path.name}: digest is {format_value(str(attributes.get('digest'))[:12])}, that of "
+            f"the problems is {record.digest[:12]}: its plans are of other problems"
+        )
+    if "sha256" in attributes and attributes["sha256"] != list(record.sha256):
+        raise ConfigError(f"{path.name}: sha256 differs from that of the frozen problems")
+    shapes = {name: np.shape(array) for name, array in group.arrays()}
+    rows = (entry.problems, entry.robots)
+    points = shapes["time_s"][-1] if len(shapes.get("time_s", ())) == 3 else 0
+    if not 2 <= points <= MAX_FILE_POINTS:
+        raise ConfigError(
+            f"{path.name}: time_s must be [world, robot, point] with 2 to {MAX_FILE_POINTS} points"
+        )
+    expected = {"points": rows, "time_s": (*rows, points), "position_m": (*rows, points, 3)}
+    for name, width in _OPTIONAL_WIDTHS.items():
+        if name in shapes:
+            expected[name] = (*rows, points, width)[: 4 if width else 3]
+    if "planning_s" in shapes:
+        expected["planning_s"] = rows[:1]
+    for name, shape in expected.items():
+        if shapes.get(name) != shape:
+            raise ConfigError(
+                f"{path.name}/{name}: has the shape {shapes.get(name)}; must be {shape}"
+            )
+    if len(expected.keys() & _OPTIONAL_WIDTHS.keys()) and "yaw_rad" not in expected:
+        raise ConfigError(f"{path.name}: has velocity, acceleration or degree without yaw_rad")
+    arrays = {name: np.asarray(group.get_array(name)[:]) for name in expected}
+    planning_s = arrays.pop("planning_s", np.full(entry.problems, np.nan))
+    return _limit_points(arrays, planning_s.astype(float), max_points)
+
+
+def _limit_points(
+    arrays: dict[str, np.ndarray], planning_s: np.ndarray, max_points: int
+) -> PlanRows:
+    """Take out paths that are too long, and columns that no path needs any more."""
+    counts = arrays["points"].astype(np.int64)
+    is_long = counts > max_points
+    faults = []
+    for world, (row, points) in enumerate(zip(is_long, counts, strict=True)):
+        text = ""
+        if row.any():
+            robot = int(np.argmax(row))
+            text = f"robot {robot}: path of {points[robot]} points, at most {max_points}"
+        stated = planning_s[world]
+        if np.isinf(stated) or stated < 0.0:
+            text = text or f"planning_s is {stated:g}"
+        faults.append(text)
+    arrays["points"] = np.where(is_long, 0, np.clip(counts, 0, max_points)).astype(np.int32)
+    cut = {
+        name: values if name == "points" else values[:, :, :max_points]
+        for name, values in arrays.items()
+    }
+    types = {"points": np.int32, "degree": np.int32}
+    with np.errstate(over="ignore", invalid="ignore"):
+        typed = {name: values.astype(types.get(name, np.float32)) for name, values in cut.items()}
+    return PlanRows(arrays=typed, planning_s=planning_s, faults=faults)
+
+
+def write_plans(path: Path, scenario: Scenario, rows: PlanRows) -> None:
+    """Write plans of a set as a file for `runs.rollout`, with the true seed of its worlds.
+
+    Args:
+        path: to make.
+        scenario: of the set.
+        rows: the plans.
+    """
+    group = zarr.open_group(path, mode="w")
+    group.attrs.update(
+        {
+            "schema": SCHEMA,
+            "schema_version": SCHEMA_VERSION,
+            "digest": scenario.digest(),
+            "seed": scenario.seed,
+            "scenario": scenario.name,
+        }
+    )
+    is_fault = np.array([bool(fault) for fault in rows.faults])
+    for name, values in rows.arrays.items():
+        kept = np.where(is_fault[:, None], 0, values) if name == "points" else values
+        group.create_array(name, data=kept)
+    group.create_array("planning_s", data=rows.planning_s.astype(np.float32))

@@ -1,0 +1,1 @@
+"""Planning problems of other benchmarks as scenarios: MovingAI, db-CBS and dynobench."""

@@ -1,0 +1,125 @@
+"""A submission flown and judged: what solves a problem, and what fails it."""
+
+import json
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.leaderboard import checking, problem_sets
+from angler_mjx.leaderboard.submission import InFlightConfig
+from angler_mjx.progress import Progress
+
+from .submitting import straight_lines, write_card, write_plans
+
+NAME, MISSING = "open-still-known-01", "open-ocean-known-01"
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory, problems, manifest):
+    """One straight line, one with NaN, and a set that is entered without a file."""
+    folder = tmp_path_factory.mktemp("submission")
+    write_card(folder, [NAME, MISSING])
+    arrays, attributes = straight_lines(problems, NAME)
+    arrays["position_m"][1, 0, 1, 2] = np.nan
+    write_plans(folder, NAME, arrays, attributes)
+    out = tmp_path_factory.mktemp("checks") / "check"
+    assert checking.check_submission(folder, out, Progress(), manifest=manifest)
+    return out
+
+
+def scores(result):
+    return {
+        row["problem"]: row for row in json.loads((result / "result.json").read_text())["scores"]
+    }
+
+
+def test_a_straight_line_in_open_water_is_solved(result, problems):
+    row = scores(result)[f"{NAME}/0"]
+    arrays, _ = straight_lines(problems, NAME)
+    line_s = float(arrays["time_s"][0, 0, 1])
+    assert row["solved"]
+    assert (row["reason"], row["planned"], row["arrived"]) == ("", 1, 1)
+    assert row["bound_s"] == pytest.approx(line_s, abs=1e-3)
+    # It has arrived 0.3 m before the end of the line, and flies 0.5 m/s.
+    assert line_s - 0.6 <= row["makespan_s"] < line_s + 5.0
+    assert row["planning_s"] == pytest.approx(0.01)
+    episodes = pq.read_table(result / "runs" / NAME / "episodes.parquet").to_pylist()
+    assert row["energy_j"] == pytest.approx(episodes[0]["energy_j"])
+    assert row["clearance_m"] == pytest.approx(episodes[0]["min_clearance_m"])
+
+
+def test_nan_fails_its_problem_alone(result):
+    row = scores(result)[f"{NAME}/1"]
+    assert (row["solved"], row["planned"], row["arrived"], row["makespan_s"]) == (False, 0, 0, None)
+    assert row["reason"] == "robot 0 has no plan: has NaN or infinite numbers"
+
+
+def test_a_set_without_a_file_fails(result):
+    for world in range(2):
+        row = scores(result)[f"{MISSING}/{world}"]
+        assert not row["solved"]
+        assert row["reason"] == f"{MISSING}.zarr is missing"
+    assert not (result / "runs" / MISSING).exists()
+
+
+def test_a_result_says_what_was_judged_and_keeps_no_trajectories(result, manifest):
+    table = checking.read_result(result)
+    assert table["problems_sha256"] == manifest.sha256()
+    assert table["entered"] == [NAME, MISSING]
+    assert (table["hidden"], table["card"]["name"]) == (False, "straight lines")
+    assert not list(result.glob("runs/*/trajectories.zarr"))
+    assert (result / "card.toml").exists()
+    assert not (result / "answers").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "angler leaderboard check makes one"),
+        ('{"benchmark": "ANGLER-0 1.0"}', "is of 'ANGLER-0 1.0'"),
+        ("{]", "result.json"),
+    ],
+)
+def test_a_result_that_cannot_be_read_is_refused(tmp_path, content, message):
+    if content is not None:
+        (tmp_path / "result.json").write_text(content)
+    with pytest.raises(ConfigError, match=message):
+        checking.read_result(tmp_path)
+
+
+def test_a_card_that_enters_none_of_the_judged_sets_is_refused(tmp_path, manifest):
+    write_card(tmp_path / "s", [NAME])
+    with pytest.raises(ConfigError, match="enters none of them"):
+        checking.check_submission(
+            tmp_path / "s", tmp_path / "o", Progress(), manifest=manifest, sets=("reef-04",)
+        )
+
+
+@pytest.mark.parametrize(
+    ("levels", "wanted", "expected"),
+    [
+        (("truth", "truth"), None, ("truth", "truth")),
+        (("observed", "observed"), None, ("observed", "observed")),
+        (("observed", "observed"), ("truth", "predicted"), ("observed", "observed")),
+        (("truth", "truth"), ("observed", "nothing"), ("observed", "nothing")),
+        (("predicted", "observed"), ("truth", "nothing"), ("predicted", "nothing")),
+    ],
+)
+def test_nobody_gets_more_information_than_the_set_has(levels, wanted, expected):
+    names = ("obstacles", "current")
+    table = None if wanted is None else dict(zip(names, wanted, strict=True))
+    limited = checking.limit_information(dict(zip(names, levels, strict=True)), table)
+    assert tuple(limited[name] for name in names) == expected
+
+
+def test_a_policy_flies_with_the_information_of_the_set(benchmark, sets):
+    scenario = problem_sets.build_scenario(benchmark, sets["reef-moving-observed-02"], 1)
+    wanted = {"name": "mppi", "information": {"obstacles": "truth", "current": "truth"}}
+    flown = checking.build_flown_scenario(scenario, InFlightConfig(policy=wanted), "card.toml")
+    assert flown.policy.name == "mppi"
+    assert flown.policy.information.model_dump() == {"obstacles": "observed", "current": "observed"}
+    assert flown.digest() == scenario.digest()
+    with pytest.raises(ConfigError, match="worlds"):
+        checking.build_flown_scenario(scenario, InFlightConfig(planner={"worlds": 3}), "card.toml")

@@ -1,0 +1,178 @@
+"""Programs of submissions in bubblewrap: what they can do, and how they fail."""
+
+import json
+import shutil
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from angler_mjx.errors import UnsupportedError
+from angler_mjx.leaderboard import problem_files, sandbox
+from angler_mjx.leaderboard.submission import PlanRows, ProgramConfig
+
+NAME = "open-still-known-01"
+try:
+    sandbox.require_sandbox()
+    REASON = ""
+except UnsupportedError as error:
+    REASON = str(error)
+needs_sandbox = pytest.mark.skipif(bool(REASON), reason=REASON)
+
+STRAIGHT = """
+import json, math, os, struct, sys
+problem, plan = sys.argv[1:3]
+def numbers(name):
+    data = open(f"{problem}/{name}/c/0/0" + ("/0" if name.endswith("_m") else ""), "rb").read()
+    return struct.unpack(f"<{len(data) // 4}f", data)
+start, goal = numbers("team/start_m"), numbers("team/goal_m")
+speed, = numbers("team/cruise_speed_mps")
+seconds = math.dist(start, goal) / speed
+attributes = json.load(open(f"{problem}/zarr.json"))["attributes"]
+def write(name, shape, kind, code, values):
+    os.makedirs(f"{plan}/{name}/c" + "/0" * (len(shape) - 1))
+    json.dump({"zarr_format": 3, "node_type": "array", "shape": shape, "data_type": kind,
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": shape}},
+        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
+        "fill_value": 0, "codecs": [{"name": "bytes", "configuration": {"endian": "little"}}],
+        "attributes": {}}, open(f"{plan}/{name}/zarr.json", "w"))
+    open(f"{plan}/{name}/c" + "/0" * len(shape), "wb").write(struct.pack(code, *values))
+write("points", [1, 1], "int32", "<i", [2])
+write("time_s", [1, 1, 2], "float32", "<2f", [0, seconds])
+write("position_m", [1, 1, 2, 3], "float32", "<6f", [*start, *goal])
+json.dump({"zarr_format": 3, "node_type": "group", "attributes": {"schema": "angler_mjx plans",
+    "schema_version": 1, "digest": attributes["digest"], "seed": 0}},
+    open(f"{plan}/zarr.json", "w"))
+"""
+
+
+@pytest.fixture
+def run(tmp_path, problems, benchmark, sets, manifest):
+    """Run Python code as the program of a submission, and return its plans."""
+
+    def run(code, count=1, **limits):
+        folder = tmp_path / "program"
+        folder.mkdir()
+        (folder / "plan.py").write_text(code)
+        config = ProgramConfig(command=("/usr/bin/python3", "plan.py"), **limits)
+        entry, record = replace(sets[NAME], problems=count), manifest.find(NAME)
+        scenario = problem_files.build_set_scenario(benchmark, entry, record.attempt, b"")
+        return sandbox.plan_set(tmp_path, config, entry, scenario, record, problems)
+
+    return run
+
+
+needs_python = pytest.mark.skipif(
+    shutil.which("/usr/bin/python3") is None, reason="no /usr/bin/python3 for the program"
+)
+
+
+@needs_sandbox
+@needs_python
+def test_a_program_plans_each_problem_and_is_timed(run, problems):
+    rows = run(STRAIGHT, count=2)
+    assert list(rows.faults) == ["", ""]
+    assert rows.arrays["points"].tolist() == [[2], [2]]
+    group = problems / f"{NAME}.zarr"
+    for world in range(2):
+        goal = np.frombuffer((group / f"team/goal_m/c/{world}/0/0").read_bytes(), "<f4")
+        np.testing.assert_array_equal(rows.arrays["position_m"][world, 0, 1], goal)
+    assert np.all((rows.planning_s > 0.0) & (rows.planning_s <= 1.0))
+
+
+@needs_sandbox
+@needs_python
+@pytest.mark.parametrize(
+    ("code", "fault"),
+    [
+        ("import socket; socket.create_connection(('127.0.0.1', 1))", "status 1: "),
+        ("import socket; socket.create_connection(('1.1.1.1', 80), 2)", "unreachable"),
+        ("import time; time.sleep(60)", "did not end within 1 s"),
+        ("import os, time\nfor i in range(1000): os.fork() or time.sleep(60)", "status 1: "),
+        ("bytearray(8 << 30)", "status 1: MemoryError"),
+        (f"open({__file__!r})", "status 1: FileNotFoundError"),
+        ("open('/problem.zarr/zarr.json', 'a')", "Read-only file system"),
+        ("open('/program/plan.py', 'a')", "Read-only file system"),
+        ("open('/out/x', 'wb').write(bytes(65 << 20))", "File too large"),
+        ("import os; assert os.getuid() != 0; raise SystemExit(7)", "ended with status 7"),
+        ("", "plan.zarr is missing"),
+    ],
+    ids=[
+        "loopback",
+        "network",
+        "hang",
+        "fork",
+        "memory",
+        "files",
+        "problem",
+        "itself",
+        "disk",
+        "rights",
+        "nothing",
+    ],
+)
+def test_a_program_that_misbehaves_fails_its_problem(run, code, fault):
+    rows = run(code)
+    assert len(rows.faults) == 1
+    assert fault in rows.faults[0]
+    assert not rows.arrays["points"].any()
+
+
+@needs_sandbox
+@needs_python
+def test_a_program_sees_its_problem_alone(run):
+    rows = run("import os, sys; sys.exit(' '.join(sorted(os.listdir('/'))))")
+    seen = set(rows.faults[0].split(": ")[1].split())
+    assert seen <= {
+        "bin",
+        "dev",
+        "etc",
+        "lib",
+        "lib64",
+        "out",
+        "problem.zarr",
+        "proc",
+        "program",
+        "tmp",
+        "usr",
+    }
+
+
+def test_a_problem_of_a_set_becomes_world_0_of_a_file(problems, tmp_path):
+    out = tmp_path / "problem.zarr"
+    sandbox.extract_problem(problems / "open-ocean-known-01.zarr", 1, out)
+    source = problems / "open-ocean-known-01.zarr"
+    assert json.loads((out / "zarr.json").read_text())["attributes"]["problems"] == [
+        "open-ocean-known-01/1"
+    ]
+    for name, depth in (("team/goal_m", 2), ("grid/occupied", 3), ("current_lattice/time_s", None)):
+        tail = "/0" * (depth or 0)
+        old = source / name / ("c/0" if depth is None else f"c/1{tail}")
+        assert (out / name / f"c/0{tail}").read_bytes() == old.read_bytes()
+        shape = json.loads((out / name / "zarr.json").read_text())["shape"]
+        assert depth is None or shape[0] == 1
+
+
+def test_plans_of_different_widths_are_joined():
+    def rows(points, **more):
+        arrays = {
+            "points": np.full((1, 2), points, np.int32),
+            "time_s": np.ones((1, 2, points), np.float32),
+            **more,
+        }
+        return PlanRows(arrays=arrays, planning_s=np.array([points / 10]), faults=[f"{points}"])
+
+    yaw = np.ones((1, 2, 2), np.float32)
+    joined = sandbox.merge_rows([rows(3), rows(2, yaw_rad=yaw)])
+    assert joined.arrays["points"].tolist() == [[3, 3], [2, 2]]
+    assert joined.arrays["time_s"].tolist() == [[[1, 1, 1]] * 2, [[1, 1, 0]] * 2]
+    assert joined.arrays["yaw_rad"].tolist() == [[[0, 0, 0]] * 2, [[1, 1, 0]] * 2]
+    assert joined.planning_s.tolist() == [0.3, 0.2]
+    assert joined.faults == ["3", "2"]
+
+
+def test_without_bubblewrap_programs_are_refused_by_name(monkeypatch):
+    monkeypatch.setenv("PATH", str(sys.prefix))
+    with pytest.raises(UnsupportedError, match="apt-get install bubblewrap"):
+        sandbox.require_sandbox()

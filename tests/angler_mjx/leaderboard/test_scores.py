@@ -1,0 +1,163 @@
+"""Scores and board, from rows that are written by hand."""
+
+import json
+
+import pytest
+from scipy import stats
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.leaderboard import board, problem_sets, scores
+
+
+def row(name, robots, **more):
+    return {
+        "problem": f"{name}/0",
+        "set": name,
+        "robots": robots,
+        "solved": True,
+        "planned": robots,
+        "arrived": robots,
+        "makespan_s": 60.0,
+        "bound_s": 50.0,
+        "energy_j": 1000.0 * robots,
+        "clearance_m": 0.5,
+        "planning_s": 0.2,
+        "reason": "",
+    } | more
+
+
+ROWS = [
+    row("open-still-known-01", 1),
+    row("open-still-known-02", 2, makespan_s=100.0, clearance_m=0.1),
+    row("reef-moving-known-02", 2, makespan_s=55.0, planning_s=None),
+    row(
+        "reef-moving-observed-02",
+        2,
+        solved=False,
+        arrived=1,
+        makespan_s=None,
+        reason="robot 1: collision_dynamic",
+    ),
+    row(
+        "reef-ocean-observed-02",
+        2,
+        solved=False,
+        arrived=0,
+        makespan_s=None,
+        reason="robot 0: collision_dynamic",
+    ),
+]
+
+
+def test_a_tier_counts_its_problems_and_robots():
+    tiers = {tier.name: tier for tier in scores.score_tiers(ROWS)}
+    assert set(tiers) == {
+        "all",
+        "1 robot",
+        "2 robots",
+        "open",
+        "reef",
+        "still",
+        "moving",
+        "ocean",
+        "known",
+        "observed",
+    }
+    assert {name: tier.problems for name, tier in tiers.items() if tier.problems != 2} == {
+        "all": 5,
+        "1 robot": 1,
+        "2 robots": 4,
+        "reef": 3,
+        "ocean": 1,
+        "known": 3,
+    }
+    assert tiers["all"].solved.value == pytest.approx(0.6)
+    interval = stats.binomtest(3, 5).proportion_ci(method="wilson")
+    assert (tiers["all"].solved.low, tiers["all"].solved.high) == pytest.approx(tuple(interval))
+    assert tiers["all"].arrived == pytest.approx(6 / 9)
+    assert tiers["ocean"].medians == dict.fromkeys(scores.MEDIANS)
+
+
+def test_medians_are_over_solved_problems_with_known_values():
+    medians = scores.score_tier("all", ROWS).medians
+    ratio = medians["makespan_ratio"]
+    assert ratio.value == pytest.approx(1.2)
+    assert ratio.count == 3
+    assert 1.1 <= ratio.low <= ratio.value <= ratio.high <= 2.0
+    assert medians["energy_j_per_robot"].value == pytest.approx(1000.0)
+    assert medians["clearance_m"].value == pytest.approx(0.5)
+    assert medians["planning_s"].count == 2
+
+
+def test_the_bootstrap_interval_of_a_median_is_near_that_of_order_statistics():
+    rows = [row("open-still-known-01", 1, makespan_s=50.0 + i) for i in range(101)]
+    ratio = scores.score_tier("all", rows).medians["makespan_ratio"]
+    # Binomial: the 41st and 61st of 101 values hold the median with 95 %.
+    assert ratio.low == pytest.approx(1.0 + 40 / 50, abs=0.06)
+    assert ratio.high == pytest.approx(1.0 + 60 / 50, abs=0.06)
+
+
+def test_reasons_are_counted_without_the_robots_numbers():
+    assert scores.count_reasons(ROWS) == [("collision_dynamic", 2)]
+
+
+def result(name, rows=ROWS, **more):
+    return {
+        "benchmark": problem_sets.load_benchmark().title,
+        "problems_sha256": "0" * 64,
+        "hidden": False,
+        "card": {"name": name, "authors": ["A. <Author>"], "machine": ""},
+        "entered": sorted({row["set"] for row in rows}),
+        "physics": {"angler-mjx": "0.2.0", "commit": None},
+        "judged_on": "cpu",
+        "scores": rows,
+    } | more
+
+
+def test_scores_are_printed_with_intervals_and_reasons():
+    text = scores.format_scores(result("mine"))
+    assert "all                3/5 (23-88 %)     67 %" in text
+    assert "2 x collision_dynamic" in text
+
+
+def write(folder, name, **more):
+    (folder / name).mkdir(parents=True)
+    (folder / name / "result.json").write_text(json.dumps(result(name, **more)))
+    return folder / name
+
+
+def test_the_board_orders_submissions_and_keeps_their_results(tmp_path):
+    worse = [ROWS[0] | {"solved": False}, *ROWS[1:]]
+    paths = [
+        write(tmp_path, "b", rows=worse),
+        write(tmp_path, "a"),
+        write(tmp_path, "c", rows=ROWS[:1]),
+    ]
+    page = board.build_board(paths, tmp_path / "board", baselines=False).read_text()
+    assert page.index("<td>a</td>") < page.index("<td>b</td>")
+    assert "A. &lt;Author&gt;" in page
+    assert "5 of 140 sets" in page
+    assert "1 of 140 sets" in page
+    kept = sorted((tmp_path / "board" / "results").iterdir())
+    assert [json.loads(path.read_text())["card"]["name"] for path in kept] == ["b", "a", "c"]
+    again = board.build_board(paths[:1], tmp_path / "board", baselines=False).read_text()
+    assert "<td>a</td>" not in again
+    assert len(list((tmp_path / "board" / "results").iterdir())) == 1
+
+
+def test_boards_of_two_results_with_one_name_or_in_a_strange_folder_are_refused(tmp_path):
+    path = write(tmp_path, "a")
+    with pytest.raises(ConfigError, match="is called 'a"):
+        board.build_board([path, path], tmp_path / "board", baselines=False)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("x")
+    with pytest.raises(ConfigError, match="is no board"):
+        board.build_board([path], tmp_path / "mine", baselines=False)
+    with pytest.raises(ConfigError, match="no results"):
+        board.build_board([], tmp_path / "board", baselines=False)
+
+
+def test_hidden_problems_stand_apart_on_the_board(tmp_path):
+    paths = [write(tmp_path, "a"), write(tmp_path, "b", hidden=True)]
+    page = board.build_board(paths, tmp_path / "board", baselines=False).read_text()
+    assert page.index("Public problems") < page.index("Hidden problems")

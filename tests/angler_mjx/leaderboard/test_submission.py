@@ -1,0 +1,149 @@
+"""Cards and files of plans as others write them, and as they break."""
+
+import numpy as np
+import pytest
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.leaderboard import submission
+
+from .submitting import straight_lines, write_card, write_plans
+
+NAME = "open-still-known-01"
+
+
+@pytest.fixture
+def read(tmp_path, problems, sets, manifest):
+    """Change straight lines, write them, and read them as the check does."""
+
+    def read(change=lambda arrays, attributes: None):
+        arrays, attributes = straight_lines(problems, NAME)
+        change(arrays, attributes)
+        write_plans(tmp_path, NAME, arrays, attributes)
+        path = tmp_path / "plans" / f"{NAME}.zarr"
+        return submission.read_plans(path, sets[NAME], manifest.find(NAME), 64)
+
+    return read
+
+
+def test_plans_are_read_as_they_were_written(read, problems):
+    rows = read()
+    arrays, _ = straight_lines(problems, NAME)
+    assert list(rows.faults) == ["", ""]
+    for name in ("points", "time_s", "position_m"):
+        np.testing.assert_array_equal(rows.arrays[name], arrays[name])
+    np.testing.assert_allclose(rows.planning_s, 0.01)
+
+
+def wrong_digest(arrays, attributes):
+    attributes["digest"] = "0" * 64
+
+
+def no_schema(arrays, attributes):
+    del attributes["schema"]
+
+
+def edited_hash(arrays, attributes):
+    attributes["sha256"] = ["0" * 64, "1" * 64]
+
+
+def one_world(arrays, attributes):
+    for name in arrays:
+        arrays[name] = arrays[name][:1]
+
+
+def no_times(arrays, attributes):
+    del arrays["time_s"]
+
+
+def planar(arrays, attributes):
+    arrays["position_m"] = arrays["position_m"][..., :2]
+
+
+def huge(arrays, attributes):
+    for name in ("time_s", "position_m"):
+        arrays[name] = np.zeros((*arrays[name].shape[:2], 1025, *arrays[name].shape[3:]), "f4")
+
+
+def velocity_alone(arrays, attributes):
+    arrays["velocity"] = np.zeros((*arrays["time_s"].shape, 4), "f4")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (wrong_digest, "digest is '000000000000', that of the problems is"),
+        (no_schema, "holds no plans of schema version 1"),
+        (edited_hash, "sha256 differs from that of the frozen problems"),
+        (one_world, "must be"),
+        (no_times, "time_s must be"),
+        (planar, "position_m: has the shape"),
+        (huge, "2 to 1024 points"),
+        (velocity_alone, "without yaw_rad"),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_a_file_that_cannot_be_used_fails_its_problems_with_the_reason(read, change, reason):
+    rows = read(change)
+    assert len(rows.faults) == 2
+    assert all(reason in fault for fault in rows.faults)
+    assert not rows.arrays["points"].any()
+
+
+def test_a_file_that_is_missing_or_no_file_fails_its_problems(tmp_path, sets, manifest):
+    path = tmp_path / "plans" / f"{NAME}.zarr"
+    arguments = (sets[NAME], manifest.find(NAME), 64)
+    assert set(submission.read_plans(path, *arguments).faults) == {f"{NAME}.zarr is missing"}
+    path.mkdir(parents=True)
+    (path / "zarr.json").write_text("{]")
+    faults = submission.read_plans(path, *arguments).faults
+    assert len(faults) == 2
+    assert all(f"{NAME}.zarr" in fault for fault in faults)
+
+
+def test_a_path_that_is_too_long_fails_its_problem_alone(read):
+    def long(arrays, attributes):
+        for name in ("time_s", "position_m"):
+            arrays[name] = np.concatenate([arrays[name]] * 40, axis=2)
+        arrays["points"][1, 0] = 65
+
+    rows = read(long)
+    assert list(rows.faults) == ["", "robot 0: path of 65 points, at most 64"]
+    assert rows.arrays["points"].tolist() == [[2], [0]]
+    assert rows.arrays["time_s"].shape == (2, 1, 64)
+
+
+@pytest.mark.parametrize("seconds", [-1.0, np.inf])
+def test_a_planning_time_that_cannot_be_fails_its_problem(read, seconds):
+    def change(arrays, attributes):
+        arrays["planning_s"][0] = seconds
+
+    assert list(read(change).faults) == [f"planning_s is {seconds:g}", ""]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("ANGLER-1 1.0", "ANGLER-1 0.9"), "this program judges 'ANGLER-1 1.0'"),
+        (('kind = "plans"', 'kind = "program"'), r"the table \[program\] must be there"),
+        (('kind = "plans"', 'kind = "magic"'), "kind"),
+        (("machine", "machin"), "machin"),
+        (('["open-still', '["opn-still'), "card.toml: sets: "),
+    ],
+)
+def test_a_card_that_cannot_be_understood_is_refused(tmp_path, benchmark, change, message):
+    write_card(tmp_path, [NAME], change=change)
+    with pytest.raises(ConfigError, match=message):
+        submission.select_entered(benchmark, submission.read_card(tmp_path), tmp_path)
+
+
+def test_a_folder_without_a_card_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"card\.toml is missing"):
+        submission.read_card(tmp_path)
+
+
+def test_a_card_with_a_table_of_another_kind_is_refused(tmp_path):
+    write_card(tmp_path, [NAME])
+    with (tmp_path / "card.toml").open("a") as file:
+        file.write('[in_flight]\npolicy = { name = "mppi" }\n')
+    with pytest.raises(ConfigError, match=r"the table \[in_flight\]"):
+        submission.read_card(tmp_path)
