@@ -262,8 +262,9 @@ def _extend_group(
     )
     if secret:
         group.attrs["seed"] = 0
-        seeds = group.get_array("seed")
-        seeds[:] = np.zeros(seeds.shape, np.uint32)
+        with zarr.config.set({"array.write_empty_chunks": True}):
+            seeds = group.get_array("seed")
+            seeds[:] = np.zeros(seeds.shape, np.uint32)
     if problems[0].information.current == "truth" and problems[0].current.components:
         _add_current(group, problems)
 
@@ -306,14 +307,12 @@ def _add_current(group: zarr.Group, problems: list[Problem]) -> None:
         for name, axis in zip("xyz", axes, strict=True)
     }
     for name, (values, names, unit, text) in described.items():
-        array = group.create_array(
-            name,
-            shape=values.shape,
-            chunks=(1, *values.shape[1:]) if names[0] == "world" else values.shape,
-            dtype="f4",
-            compressors=None,
-            attributes={"unit": unit, "description": text},
-            dimension_names=names,
-        )
         with zarr.config.set({"array.write_empty_chunks": True}):
-            array[:] = values.astype(np.float32)
+            group.create_array(
+                name,
+                data=values.astype(np.float32),
+                chunks=(1, *values.shape[1:]) if names[0] == "world" else values.shape,
+                compressors=None,
+                attributes={"unit": unit, "description": text},
+                dimension_names=names,
+            )

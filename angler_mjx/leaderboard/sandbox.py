@@ -7,15 +7,14 @@ the whole sandbox is killed.
 """
 
 import json
+import math
 import os
-import resource
 import shutil
 import signal
 import subprocess
 import tempfile
 import time
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -177,6 +176,7 @@ def run_program(config: ProgramConfig, folder: Path, limit_s: float) -> str:
         limit_s: planning time.
     """
     command = [
+        *_limit_resources(config, limit_s),
         require_sandbox(),
         "--unshare-all",
         "--die-with-parent",
@@ -222,7 +222,6 @@ def run_program(config: ProgramConfig, folder: Path, limit_s: float) -> str:
         stderr=subprocess.PIPE,
         start_new_session=True,
         **_unprivileged(),
-        preexec_fn=partial(_limit_resources, config, limit_s),
     )
     try:
         _, errors = process.communicate(timeout=limit_s + GRACE)
@@ -254,21 +253,19 @@ def _bind_system(path: str) -> Sequence[str]:
     return ("--ro-bind", path, path) if os.path.exists(path) else ()
 
 
-def _limit_resources(config: ProgramConfig, limit_s: float) -> None:
-    """Set the limits of the sandbox's processes, in the child."""
-    memory = int(config.memory_gib * 2**30)
-    seconds = max(1, int(np.ceil(limit_s * config.processes)))
-    limits: dict[int, int] = {
-        resource.RLIMIT_AS: memory,
-        resource.RLIMIT_CPU: seconds,
-        resource.RLIMIT_FSIZE: MAX_FILE_BYTES,
-        resource.RLIMIT_CORE: 0,
-        resource.RLIMIT_NOFILE: 256,
-        # Bubblewrap itself has two, and its threads are counted.
-        resource.RLIMIT_NPROC: config.processes + 3,
+def _limit_resources(config: ProgramConfig, limit_s: float) -> list[str]:
+    """Return the command that limits the sandbox's processes, to stand before it."""
+    seconds = max(1, math.ceil(limit_s * config.processes))
+    limits = {
+        "as": int(config.memory_gib * 2**30),
+        "cpu": seconds,
+        "fsize": MAX_FILE_BYTES,
+        "core": 0,
+        "nofile": 256,
+        # Bubblewrap itself has two.
+        "nproc": config.processes + 3,
     }
-    for kind, limit in limits.items():
-        resource.setrlimit(kind, (limit, limit))
+    return ["prlimit", *(f"--{name}={limit}" for name, limit in limits.items())]
 
 
 def merge_rows(parts: Sequence[PlanRows]) -> PlanRows:

@@ -137,6 +137,9 @@ class Workshop:
             return
         if source.suffix != ".toml":
             shutil.copy(source, target)
+            if source.suffix in (".scen", ".3dscen"):  # Its map lies beside it.
+                for other in source.parent.glob(f"{source.name.partition('.')[0]}.*map"):
+                    shutil.copy(other, target.parent)
             return
         text = _resized(source.read_text(encoding="utf-8"), word)
         target.write_text(text, encoding="utf-8")
