@@ -10,7 +10,7 @@ from angler_mjx.cli.shared.device import Device, choose_device, keep_all_program
 from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
-    from angler_mjx.leaderboard.problem_files import Manifest
+    from angler_mjx.leaderboard.problem_files import ProblemManifest
 
 type Sets = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
 
@@ -169,7 +169,7 @@ def build(
     print(board.build_board(results, out, baselines=baselines))
 
 
-def _find_problems(problems: Path | None, secret: Path | None) -> "tuple[Manifest, bytes]":
+def _find_problems(problems: Path | None, secret: Path | None) -> "tuple[ProblemManifest, bytes]":
     """Return the manifest of the problems, and the secret of their seeds."""
     from angler_mjx.leaderboard import problem_files, problem_sets
 

@@ -17,7 +17,7 @@ from angler_mjx import __version__
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import parse_model
 from angler_mjx.leaderboard import problem_files, problem_sets, sandbox, submission
-from angler_mjx.leaderboard.problem_files import Manifest
+from angler_mjx.leaderboard.problem_files import ProblemManifest
 from angler_mjx.leaderboard.problem_sets import FrozenBenchmark, ProblemSet
 from angler_mjx.leaderboard.submission import Card, InFlightConfig, PlanRows
 from angler_mjx.progress import Progress
@@ -97,7 +97,7 @@ def check_submission(
     out: Path,
     progress: Progress,
     *,
-    manifest: Manifest,
+    manifest: ProblemManifest,
     secret: bytes = problem_sets.PUBLIC,
     sets: tuple[str, ...] = (),
     resume: bool = False,
@@ -168,7 +168,7 @@ def _collect_plans(
     source: Path,
     building: Path,
     entries: Sequence[ProblemSet],
-    manifest: Manifest,
+    manifest: ProblemManifest,
     secret: bytes,
     progress: Progress,
 ) -> list[CheckedSet]:
@@ -343,7 +343,7 @@ def _find_late(one: CheckedSet, world: int) -> str:
 
 def _write_result(
     card: Card,
-    manifest: Manifest,
+    manifest: ProblemManifest,
     entries: Sequence[ProblemSet],
     scores: Sequence[ProblemScore],
     building: Path,

@@ -12,7 +12,7 @@ from angler_mjx.errors import AnglerError, ConfigError
 from angler_mjx.files import parse_model
 from angler_mjx.leaderboard import problem_files, problem_sets, submission
 from angler_mjx.leaderboard.checking import limit_information
-from angler_mjx.leaderboard.problem_files import Manifest
+from angler_mjx.leaderboard.problem_files import ProblemManifest
 from angler_mjx.leaderboard.problem_sets import FrozenBenchmark, ProblemSet
 from angler_mjx.planning.device_planner import build_device_planner
 from angler_mjx.planning.register import PlannerSpec
@@ -39,7 +39,7 @@ def plan_submission(
     planner: Mapping[str, object],
     progress: Progress,
     *,
-    manifest: Manifest,
+    manifest: ProblemManifest,
     name: str,
     sets: tuple[str, ...] = (),
     secret: bytes = problem_sets.PUBLIC,
@@ -97,7 +97,7 @@ def _write_card(path: Path, text: str) -> None:
 def _plannable_scenario(
     benchmark: FrozenBenchmark,
     entry: ProblemSet,
-    manifest: Manifest,
+    manifest: ProblemManifest,
     secret: bytes,
     planner: Mapping[str, object],
 ) -> Scenario:

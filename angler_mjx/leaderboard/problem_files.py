@@ -31,7 +31,7 @@ from angler_mjx.sim.information import CurrentInformation
 
 MANIFEST = "manifest.json"
 PUBLIC_MANIFEST = "angler_1.json"
-"""Manifest of the public problems, among the benchmark's files."""
+"""ProblemManifest of the public problems, among the benchmark's files."""
 MAX_ATTEMPTS = 50
 """Seeds tried for a set whose worlds all hold the team."""
 CURRENT_POINTS, CURRENT_STEP_S = 5, 5.0
@@ -55,7 +55,7 @@ class SetRecord:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Manifest:
+class ProblemManifest:
     """What a folder of problems holds."""
 
     benchmark: str
@@ -99,7 +99,7 @@ def hash_problem(problem: Problem) -> str:
     return digest.hexdigest()
 
 
-def read_manifest(path: Path) -> Manifest:
+def read_manifest(path: Path) -> ProblemManifest:
     """Read a manifest.
 
     Raises:
@@ -120,12 +120,12 @@ def read_manifest(path: Path) -> Manifest:
             )
             for entry in table["sets"]
         ]
-        return Manifest(benchmark=title, secret=table["secret"], sets=tuple(sets))
+        return ProblemManifest(benchmark=title, secret=table["secret"], sets=tuple(sets))
     except (KeyError, TypeError, ValueError) as error:
         raise ConfigError(f"{path}: is no manifest of problems ({error!r})") from error
 
 
-def public_manifest() -> Manifest:
+def public_manifest() -> ProblemManifest:
     """Return the manifest of the public problems."""
     return read_manifest(problem_sets.data_folder() / PUBLIC_MANIFEST)
 
@@ -137,8 +137,8 @@ def write_problem_files(
     progress: Progress,
     *,
     secret: bytes = problem_sets.PUBLIC,
-    frozen: Manifest | None = None,
-) -> Manifest:
+    frozen: ProblemManifest | None = None,
+) -> ProblemManifest:
     """Write the files of sets and their manifest; files that are there are kept.
 
     Args:
@@ -178,16 +178,16 @@ def write_problem_files(
 
 def _build_manifest(
     benchmark: FrozenBenchmark, records: dict[str, SetRecord], secret: bytes
-) -> Manifest:
+) -> ProblemManifest:
     order = [entry.name for entry in problem_sets.list_problem_sets(benchmark)]
-    return Manifest(
+    return ProblemManifest(
         benchmark=benchmark.title,
         secret=problem_sets.digest_secret(secret),
         sets=tuple(records[name] for name in order if name in records),
     )
 
 
-def _manifest_table(manifest: Manifest) -> dict[str, Any]:
+def _manifest_table(manifest: ProblemManifest) -> dict[str, Any]:
     return {**asdict(manifest), "problems": manifest.problems, "sha256": manifest.sha256()}
 
 

@@ -37,8 +37,8 @@ class TeamTier(FileModel):
     """Planning time for a problem on the named machine, s."""
 
 
-class Condition(FileModel):
-    """Condition of the water: what moves, and which information levels problems have."""
+class WaterCondition(FileModel):
+    """WaterCondition of the water: what moves, and which information levels problems have."""
 
     name: str
     information: tuple[str, ...]
@@ -58,7 +58,7 @@ class FrozenBenchmark(FileModel):
     team: tuple[TeamTier, ...]
     information: dict[str, InformationConfig]
     """Information levels by their names in names of sets."""
-    condition: tuple[Condition, ...]
+    condition: tuple[WaterCondition, ...]
     scenario: dict[str, Any]
     """Keys of a scenario that all sets share."""
 

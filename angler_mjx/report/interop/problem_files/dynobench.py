@@ -71,10 +71,10 @@ def read_problem(path: Path, *, robots: int | None) -> ForeignProblem:
                 raise ConfigError(
                     f"{format_path(path)}: {at}.{key}: has {len(state)} of {axes} coordinates"
                 )
-            place = np.array(state[:axes])
-            if np.any(place < low) or np.any(place > high):
+            position = np.array(state[:axes])
+            if np.any(position < low) or np.any(position > high):
                 raise ConfigError(f"{format_path(path)}: {at}.{key}: lies outside the environment")
-            rows.append(place)
+            rows.append(position)
             if any(state[axes:]):
                 notes.add("dropped", f"headings and velocities of {key}s", at)
         notes.add("dropped", f"dynamics of {entry.get('type', 'robots without a type')}", at)

@@ -54,8 +54,8 @@ def read_problem(
         if map_file is not None or region is not None:
             raise ConfigError("--map and --region: are for MovingAI's files; leave them out")
         return dynobench.read_problem(path, robots=robots)
-    known = ", ".join((*moving_ai.SUFFIXES, *dynobench.SUFFIXES))
-    raise ConfigError(f"{format_path(path)}: problems are read from {known}")
+    suffixes = ", ".join((*moving_ai.SUFFIXES, *dynobench.SUFFIXES))
+    raise ConfigError(f"{format_path(path)}: problems are read from {suffixes}")
 
 
 def import_problem(

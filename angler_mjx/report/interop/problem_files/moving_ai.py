@@ -109,8 +109,8 @@ def read_problem(
                 text.location(index),
             )
             continue
-        for label, place in zip(("start", "goal"), row, strict=True):
-            if cells[tuple(place.astype(int))]:
+        for label, position in zip(("start", "goal"), row, strict=True):
+            if cells[tuple(position.astype(int))]:
                 raise text.fault(index, f"its {label} is blocked in {source.name}")
         start.append(row[0])
         goal.append(row[1])
