@@ -257,6 +257,7 @@ class Scenario(FileModel):
             self.channel()
         except ValueError as error:
             raise ValueError(f"acoustics.{error}") from error
+        table_checks.check_grip_record(self.store, carries=isinstance(self.task, CarryTask))
         table_checks.check_acoustics(self.acoustics, self.store, self.planner)
         return self
 

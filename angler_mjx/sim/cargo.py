@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from angler_kernels import quaternion
 from angler_mjx.robot.control.commands import GripReading
 from angler_mjx.sim.physics.contact.grips import Grips
+from angler_mjx.sim.record import GripRecord
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
 
@@ -78,6 +79,11 @@ def finish_carrying(
     finished = grips.held & (at_goal_s > max(spec.hold_s - 0.5 * dt, 0.0))
     held = grips.held & ~finished if spec.release else grips.held
     return replace(grips, held=held, at_goal_s=at_goal_s), finished
+
+
+def record_grips(grips: Grips) -> GripRecord:
+    """Return the record of the grips of one world."""
+    return GripRecord(held=grips.held.astype(jnp.int32), wrench=grips.wrench)
 
 
 def read_grips(grips: Grips) -> GripReading:

@@ -345,6 +345,8 @@ def control_step(
         **vars(memory),
     )
     record |= seen
+    if "grips" in spec.also and state.grips is not None:
+        record["grips"] = cargo.record_grips(state.grips)
     return after, build_sample(output.record, record)
 
 
