@@ -15,7 +15,7 @@ from angler_mjx.scenario.editing import merge_tables, remove_horizon, scenario_t
 from angler_mjx.scenario.horizon_check import check_reachable
 from angler_mjx.scenario.scenario import Scenario, load_relative_scenario
 from angler_mjx.scenario.tables import InformationConfig
-from angler_mjx.scenario.task_table import require_goal_task
+from angler_mjx.scenario.task_table import CarryTask, require_goal_task
 from angler_mjx.sim.information import Information
 from angler_mjx.studies.benchmark import compared_planners as compared
 from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
@@ -152,7 +152,9 @@ def read_benchmark(path: Path, **overrides: object) -> Benchmark:
     config = parse_model(BenchmarkConfig, table, source=source, context={FOLDER_CONTEXT: folder})
     scenario = load_relative_scenario(config.scenario, folder)
     require_goal_task(
-        scenario.task, f"{path}: planners are compared by ways to one goal; leave it out"
+        scenario.task,
+        f"{path}: planners are compared by ways to one goal; leave it out",
+        also=(CarryTask,),
     )
     return build_benchmark(config, scenario, str(path))
 

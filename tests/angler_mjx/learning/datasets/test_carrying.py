@@ -102,7 +102,7 @@ def test_columns_are_those_of_the_last_state_of_the_body():
     start = Rotation.from_rotvec([0.0, 0.0, 0.3])
     end = Rotation.from_rotvec([0.0, 0.0, 0.3 + TURN_RAD]) * Rotation.from_rotvec([0.2, 0.0, 0.0])
     p = np.zeros((2, 2, 3))
-    p[:, 1] = np.array(GOAL_M) + [0.0, 0.3, 0.4]
+    p[:, 1] = np.add(GOAL_M, [0.0, 0.3, 0.4])
     q = np.tile([1.0, 0.0, 0.0, 0.0], (2, 2, 1))
     q[:, 1] = end.as_quat(scalar_first=True)
     ends = {"end/step": np.array([100, 100]), "end/obstacle_p_m": p, "end/obstacle_q": q}
