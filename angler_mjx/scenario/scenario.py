@@ -65,7 +65,7 @@ from angler_mjx.scenario.task_table import (
     check_task_policy,
 )
 from angler_mjx.shipped import find_shipped, list_shipped
-from angler_mjx.sim.cargo import CargoSpec
+from angler_mjx.sim.cargo import CargoSpec, GripNoise
 from angler_mjx.sim.fleet import Member
 from angler_mjx.sim.physics.step import Water
 from angler_mjx.sim.state import SimSpec
@@ -295,6 +295,11 @@ class Scenario(FileModel):
     def cargo_spec(self) -> CargoSpec | None:
         """Return what the fleet carries, and where to; None where it carries nothing together."""
         return self.task.cargo if isinstance(self.task, CarryTask) else None
+
+    @property
+    def grip_noise(self) -> GripNoise | None:
+        """Return the errors of the force-torque sensors of grips; None where there are none."""
+        return self.task.grip_noise if isinstance(self.task, CarryTask) else None
 
     def cargo_load(self) -> Load | None:
         """Return what each robot bears of a body that the fleet carries; None where there is none.

@@ -14,7 +14,7 @@ from angler_mjx.quantities import MAX_COORDINATE_M
 from angler_mjx.scenario.load_table import LoadConfig
 from angler_mjx.scenario.policy_tables import PolicyConfig
 from angler_mjx.scenario.tables import TimeConfig, check_whole_ratio
-from angler_mjx.sim.cargo import CargoSpec
+from angler_mjx.sim.cargo import CargoSpec, GripNoise
 from angler_mjx.sim.physics.contact.grips import GripSpec, friction_limits
 from angler_mjx.world.config import Vector, WorldConfig, WorldRecipe, resolve_world
 from angler_mjx.world.obstacles.config import ExplicitConfig
@@ -55,6 +55,19 @@ class GoalTask(FileModel):
     def by_end_effector(self) -> bool:
         """Whether end effectors have to come to the goals."""
         return self.reached_by == "end_effector"
+
+
+class GripSensorConfig(FileModel):
+    """Errors of the force-torque sensors of grips: standard deviations along each axis."""
+
+    force_std_n: float = Field(default=0.0, ge=0.0, le=1e5)
+    """Of each reading, once a control period."""
+    torque_std_nm: float = Field(default=0.0, ge=0.0, le=1e5)
+    """Of each reading of a moment."""
+    force_bias_n: float = Field(default=0.0, ge=0.0, le=1e5)
+    """Of what a sensor is off by in a whole flight, sampled for each robot of each world."""
+    torque_bias_nm: float = Field(default=0.0, ge=0.0, le=1e5)
+    """The same of moments."""
 
 
 class CarryTask(FileModel):
@@ -98,6 +111,8 @@ class CarryTask(FileModel):
     """Time without a break for which the body has to be at its goal to have arrived."""
     release: bool = False
     """Whether grips open when the body has arrived; it then sinks, rises or rests."""
+    sensor: GripSensorConfig | None = None
+    """Errors of what grips measure; none if left out."""
 
     by_end_effector: ClassVar[bool] = False
     """As of `GoalTask`."""
@@ -131,7 +146,13 @@ class CarryTask(FileModel):
         jaws = self.closing_force_n is not None
         added = {"hold_s": self.hold_s, "release": self.release, "hold": self.hold != "hull"}
         added |= dict.fromkeys(("closing_force_n", "jaw_m", "max_slip_m"), jaws)
+        added["sensor"] = False  # of the flight, not of the problem, as all instruments
         return {key: value for key, value in table.items() if added.get(key, True)}
+
+    @property
+    def grip_noise(self) -> GripNoise | None:
+        """Return the errors of the force-torque sensors of grips; None where there are none."""
+        return None if self.sensor is None else GripNoise(**self.sensor.model_dump())
 
     @model_validator(mode="after")
     def _check_jaws(self) -> Self:

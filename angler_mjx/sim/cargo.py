@@ -33,6 +33,33 @@ class CargoSpec:
     """Whether grips open when it has arrived."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class GripNoise:
+    """Errors of the force-torque sensors of grips: standard deviations along each axis."""
+
+    force_std_n: float
+    """Of each reading, N."""
+    torque_std_nm: float
+    """Of each reading, N m."""
+    force_bias_n: float
+    """Of what a sensor is off by in a whole flight, N."""
+    torque_bias_nm: float
+    """The same of moments, N m."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class GripSensors:
+    """Force-torque sensors of the robots [R] of one world."""
+
+    key: jax.Array
+    """uint32 [R, 2] of each sensor's noise."""
+    bias: jax.Array
+    """[R, 6] N and N m."""
+    std: jax.Array
+    """[6] N and N m, of each reading."""
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class CargoError:
@@ -86,6 +113,38 @@ def record_grips(grips: Grips) -> GripRecord:
     return GripRecord(held=grips.held.astype(jnp.int32), wrench=grips.wrench)
 
 
-def read_grips(grips: Grips) -> GripReading:
-    """Return what the robots [R] of one world measure of the body that they hold."""
-    return GripReading(wrench=grips.wrench, center_m=grips.center_m, lever_m=grips.lever_m)
+def sample_sensors(noise: GripNoise, key: jax.Array, robots: int) -> GripSensors:
+    """Return the force-torque sensors of one world.
+
+    Args:
+        noise: their errors.
+        key: of the world.
+        robots: number of robots.
+    """
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(robots))
+    axes = jnp.ones(3)
+    bias = jnp.concatenate([noise.force_bias_n * axes, noise.torque_bias_nm * axes])
+    return GripSensors(
+        key=jax.vmap(jax.random.key_data)(keys),
+        bias=bias * jax.vmap(lambda one: jax.random.normal(one, (6,)))(keys),
+        std=jnp.concatenate([noise.force_std_n * axes, noise.torque_std_nm * axes]),
+    )
+
+
+def read_grips(grips: Grips, sensors: GripSensors | None, number: jax.Array) -> GripReading:
+    """Return what the robots [R] of one world measure of the body that they hold.
+
+    Args:
+        grips: of the robots.
+        sensors: of the grips; None of such without errors.
+        number: int32 [] control steps taken; a reading of a step is the same whoever takes it.
+    """
+    wrench = grips.wrench
+    if sensors is not None:
+        keys = jax.vmap(jax.random.fold_in, (0, None))(
+            jax.vmap(jax.random.wrap_key_data)(sensors.key), number
+        )
+        noise = jax.vmap(lambda key: jax.random.normal(key, (6,), wrench.dtype))(keys)
+        read = wrench + sensors.bias.astype(wrench.dtype) + sensors.std.astype(wrench.dtype) * noise
+        wrench = jnp.where(jnp.any(wrench != 0.0, axis=1, keepdims=True), read, wrench)
+    return GripReading(wrench=wrench, center_m=grips.center_m, lever_m=grips.lever_m)

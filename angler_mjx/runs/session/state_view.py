@@ -149,16 +149,17 @@ def view_state(
         result=result,
         joints=_view_joints(world.control.vehicle, vehicles),
         joint_target=current.carry.joints,
-        cargo=_view_cargo(current),
+        cargo=_view_cargo(world, current),
     )
 
 
-def _view_cargo(state: WorldState) -> CargoView | None:
+def _view_cargo(world: FleetWorld, state: WorldState) -> CargoView | None:
     """Return the view of the body that robots of one world hold; None where they hold nothing."""
     grips, error = state.grips, state.tally.cargo_error
     if grips is None or error is None:
         return None
-    return CargoView(held=grips.held, reading=read_grips(grips), error=error)
+    reading = read_grips(grips, world.grip_sensors, state.step)
+    return CargoView(held=grips.held, reading=reading, error=error)
 
 
 def _view_joints(vehicle: VehicleParams, vehicles: VehicleState) -> JointMotion | None:

@@ -187,17 +187,21 @@ def move_in_contact(
     params: ControlParams,
     command: Plan | Command | MixedCommand,
     current: Current,
-    grips: Grips | None = None,
+    grips: Grips | None,
+    number: jax.Array,
 ) -> tuple[MovedRobots, ObstacleState, Grips | None, Impacts, Record]:
     """Return robots and obstacles of one world after a control period in which they may touch.
 
-    Arguments as of `step.move_independently`, the obstacles, and the robots' grips. Contact is
+    Arguments as of `step.move_independently`, the obstacles, the robots' grips (None where they
+    hold nothing), and the number int32 [] of the step. Contact is
     solved with the inertia of ``params``, loads included.
     """
     spec, vehicles = batch.spec, robots.vehicle
     if spec.contact is None or batch.engine is None or batch.rock is None:
         raise RuntimeError("the simulation has no contact")
-    measured = None if grips is None else cargo.read_grips(grips)
+    measured = None
+    if grips is not None:
+        measured = cargo.read_grips(grips, batch.world.grip_sensors, number)
     decision, record = decide(batch, robots, estimate, params, command, current, measured)
     inputs = MoveInput(
         vehicle=vehicles,
@@ -317,7 +321,7 @@ def control_step(
         obstacles, seen = run_phase(OBSTACLES, batch, state.obstacles)
     else:
         moved, obstacles, grips, impacts, record = move_in_contact(
-            batch, robots, state.obstacles, *driven, grips
+            batch, robots, state.obstacles, *driven, grips, state.step
         )
         seen = record_obstacles(state.obstacles)
         impacts, grips, brought = measure_cargo(batch, obstacles, grips, impacts)
