@@ -11,9 +11,10 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.files import FOLDER_CONTEXT, format_path, parse_model, read_toml
 from angler_mjx.learning.datasets.config import DatasetConfig, DatasetScene, Expert
 from angler_mjx.runs.multi_run import RUNS_FOLDER
+from angler_mjx.scenario.carry_table import CarryTask
 from angler_mjx.scenario.editing import merge_tables, remove_horizon, scenario_table
 from angler_mjx.scenario.scenario import Scenario, load_relative_scenario
-from angler_mjx.scenario.task_table import CarryTask, require_goal_task
+from angler_mjx.scenario.task_table import require_goal_task
 from angler_mjx.studies.benchmark.compared_planners import build_pilot_tables
 from angler_mjx.studies.benchmark.problem_settings import with_team
 

@@ -31,8 +31,9 @@ from angler_mjx.runs.session.state_view import (
     view_state,
 )
 from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.scenario.carry_table import CarryTask
 from angler_mjx.scenario.scenario import Scenario, load_scenario
-from angler_mjx.scenario.task_table import CarryTask, require_goal_task
+from angler_mjx.scenario.task_table import require_goal_task
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import FleetWorld, WorldState
 

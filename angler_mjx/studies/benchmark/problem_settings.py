@@ -11,11 +11,12 @@ from typing import Any
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import FOLDER_CONTEXT, format_path, parse_model, read_toml
 from angler_mjx.runs.simulator.world_preparation import check_planner
+from angler_mjx.scenario.carry_table import CarryTask
 from angler_mjx.scenario.editing import merge_tables, remove_horizon, scenario_table
 from angler_mjx.scenario.horizon_check import check_reachable
 from angler_mjx.scenario.scenario import Scenario, load_relative_scenario
 from angler_mjx.scenario.tables import InformationConfig
-from angler_mjx.scenario.task_table import CarryTask, require_goal_task
+from angler_mjx.scenario.task_table import require_goal_task
 from angler_mjx.sim.information import Information
 from angler_mjx.studies.benchmark import compared_planners as compared
 from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner

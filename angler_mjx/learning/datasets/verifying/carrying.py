@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from angler_mjx.runs.storage.folder import Run
-from angler_mjx.scenario.task_table import CarryTask
+from angler_mjx.scenario.carry_table import CarryTask
 from angler_mjx.sim.cargo import CargoSpec
 
 GRIP_ARRAYS = ("grips/held", "grips/wrench")
