@@ -101,6 +101,14 @@ def _take_cargo(
         turn_rad=jnp.asarray(turn_rad, start_m.dtype) - turned_rad,
         radius_m=bounding_radius(kind, size),
     )
+    if now is None and spec.cargo.approach is not None:
+        approach, dtype = spec.cargo.approach, start_m.dtype
+        cargo = replace(
+            cargo,
+            grip_m=environment.start_m.at[:, 2].add(-approach.above_m),
+            wait_s=jnp.asarray(approach.wait_s, dtype),
+            lift_m=jnp.asarray(approach.lift_m, dtype),
+        )
     others = replace(rows, exists=rows.exists.at[body].set(False))
     return cargo, replace(environment, obstacles=others)
 

@@ -15,7 +15,7 @@ from angler_mjx.robot.control.laws.cargo_part import CargoPartGains
 from angler_mjx.robot.control.stack import StackGains, Stages
 from angler_mjx.robot.vehicles.load import Load
 from angler_mjx.scenario.load_table import split_load
-from angler_mjx.sim.cargo import CargoSpec, GripNoise
+from angler_mjx.sim.cargo import ApproachSpec, CargoSpec, GripNoise
 from angler_mjx.sim.physics.contact.grips import GripSpec, friction_limits
 from angler_mjx.sim.physics.step import Water
 from angler_mjx.world.config import Vector, WorldConfig, resolve_world
@@ -39,10 +39,29 @@ class GripSensorConfig(FileModel):
     """The same of moments."""
 
 
+class ApproachConfig(FileModel):
+    """Way of robots to a body that they do not hold from the start."""
+
+    above_m: float = Field(default=1.0, gt=0.0, le=MAX_COORDINATE_M)
+    """Height of the robots at the start above where they hold the body."""
+    within_m: float = Field(default=0.03, gt=0.0, le=MAX_COORDINATE_M)
+    """Distance of a gripper from where it is to hold the body, in the body's frame, within which it
+    closes; the body is then held as it is. The default is our choice, as the following."""
+    within_deg: float = Field(default=10.0, gt=0.0, le=180.0)
+    """Angle from the attitude in which it is to hold the body, within which it closes."""
+    within_mps: float = Field(default=0.02, gt=0.0, le=10.0)
+    """Speed of a gripper and the body against each other, below which it closes: what stops there
+    at once pulls at the grip."""
+    wait_s: float = Field(default=5.0, ge=0.0, le=3600.0)
+    """Time for which plans leave the robots at the body."""
+    lift_m: float = Field(default=0.0, ge=0.0, le=MAX_COORDINATE_M)
+    """Height by which plans lift the body straight up first, such as off the sea floor."""
+
+
 class CarryTask(FileModel):
     """One body, which the whole fleet carries to a pose; with ``contacts = true``.
 
-    Each robot holds the body from the start, at the pose that it starts at.
+    Each robot holds the body from the start, at the pose that it starts at, or goes there first.
     """
 
     type: Literal["carry"]
@@ -82,6 +101,9 @@ class CarryTask(FileModel):
     """Whether grips open when the body has arrived; it then sinks, rises or rests."""
     sensor: GripSensorConfig | None = None
     """Errors of what grips measure; none if left out."""
+    approach: ApproachConfig | None = None
+    """Grippers begin open, above the body, and close when they are there; robots hold the body from
+    the start if left out."""
 
     by_end_effector: ClassVar[bool] = False
     """As of `GoalTask`."""
@@ -107,6 +129,20 @@ class CarryTask(FileModel):
             tolerance_rad=math.radians(self.tolerance_deg),
             hold_s=self.hold_s,
             release=self.release,
+            approach=self._approach_spec(),
+        )
+
+    def _approach_spec(self) -> ApproachSpec | None:
+        approach = self.approach
+        if approach is None:
+            return None
+        return ApproachSpec(
+            above_m=approach.above_m,
+            within_m=approach.within_m,
+            within_rad=math.radians(approach.within_deg),
+            within_mps=approach.within_mps,
+            wait_s=approach.wait_s,
+            lift_m=approach.lift_m,
         )
 
     def problem_table(self) -> JsonTable:
@@ -114,6 +150,7 @@ class CarryTask(FileModel):
         table = dump_for_digest(self)
         jaws = self.closing_force_n is not None
         added = {"hold_s": self.hold_s, "release": self.release, "hold": self.hold != "hull"}
+        added["approach"] = self.approach is not None
         added |= dict.fromkeys(("closing_force_n", "jaw_m", "max_slip_m"), jaws)
         added["sensor"] = False  # of the flight, not of the problem, as all instruments
         return {key: value for key, value in table.items() if added.get(key, True)}
@@ -206,7 +243,8 @@ class CarryTask(FileModel):
         turn = _turn_about_z(math.radians(self.turn_deg))
         travel_m = np.subtract(self.to_m, body.position_m)
         offsets = grips - _aim_tips(grips, tips_m, turn, travel_m)
-        starts = (np.array(body.position_m) + offsets).round(9)
+        above_m = 0.0 if self.approach is None else self.approach.above_m
+        starts = (np.array(body.position_m) + offsets + [0.0, 0.0, above_m]).round(9)
         goals = (np.array(self.to_m) + offsets @ turn.T).round(9)
         made = {
             "placement": "given",
@@ -329,6 +367,7 @@ def fill_cargo_gains(
     resolved = resolve_world(world)
     below_m = np.mean([start[2] for start in resolved.start_m])
     below_m -= resolved.obstacles.explicit[task.body].position_m[2]
+    below_m -= 0.0 if task.approach is None else task.approach.above_m
     values = {
         "depth_m": max(0.0, float(below_m)),
         "weight_n": max(0.0, load.mass_kg - load.density_kgpm3 * load.volume_m3)

@@ -8,9 +8,28 @@ import jax.numpy as jnp
 from angler_kernels import quaternion
 from angler_mjx.robot.control.commands import GripReading
 from angler_mjx.sim.physics.contact.grips import Grips
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import GripRecord
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
+
+
+@dataclass(frozen=True, kw_only=True)
+class ApproachSpec:
+    """Way of robots to a body that they do not hold from the start."""
+
+    above_m: float
+    """Height of the robots at the start above where they hold it."""
+    within_m: float
+    """Offset of a gripper from where it is to hold the body, within which it closes."""
+    within_rad: float
+    """Angle from the attitude in which it is to hold the body, within which it closes."""
+    within_mps: float
+    """Speed against the body below which it closes."""
+    wait_s: float
+    """Time for which plans leave the robots at the body."""
+    lift_m: float
+    """Height by which plans lift the body straight up first."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +50,8 @@ class CargoSpec:
     """Time without a break for which it has to be there."""
     release: bool = False
     """Whether grips open when it has arrived."""
+    approach: ApproachSpec | None = None
+    """Way of the robots to it; None where they hold it from the start."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +127,84 @@ def finish_carrying(
     finished = grips.held & (at_goal_s > max(spec.hold_s - 0.5 * dt, 0.0))
     held = grips.held & ~finished if spec.release else grips.held
     return replace(grips, held=held, at_goal_s=at_goal_s), finished
+
+
+def open_grips(grips: Grips) -> Grips:
+    """Return grips that were never closed."""
+    return replace(
+        grips,
+        held=jnp.zeros_like(grips.held),
+        closed_s=jnp.full(grips.held.shape, jnp.inf, grips.wrench.dtype),
+    )
+
+
+def find_grip_speeds(
+    spec: CargoSpec, vehicles: VehicleState, lever_m: jax.Array, obstacles: ObstacleState
+) -> jax.Array:
+    """Return the speeds [R] m/s of grippers against the body; joints are taken to be at rest.
+
+    Args:
+        spec: settings.
+        vehicles: [R] of one world.
+        lever_m: [R, 3] points of the grips from the robots' centres of mass, m, in F.
+        obstacles: of that world.
+    """
+    p, q, nu = obstacles.p[spec.body], obstacles.q[spec.body], obstacles.nu[spec.body]
+
+    def find_speed(
+        robot_p: jax.Array, robot_q: jax.Array, robot_nu: jax.Array, lever: jax.Array
+    ) -> jax.Array:
+        point = robot_p + quaternion.rotate(robot_q, lever)
+        velocity = quaternion.rotate(robot_q, robot_nu[:3] + jnp.cross(robot_nu[3:], lever))
+        arm = quaternion.rotate_inverse(q, point - p)
+        of_body = quaternion.rotate(q, nu[:3] + jnp.cross(nu[3:], arm))
+        return jnp.sqrt(jnp.sum((velocity - of_body) ** 2))
+
+    speeds: jax.Array = jax.vmap(find_speed)(vehicles.p, vehicles.q, vehicles.nu, lever_m)
+    return speeds
+
+
+def close_grips(
+    approach: ApproachSpec,
+    grips: Grips,
+    now: Grips,
+    speed_mps: jax.Array,
+    running: jax.Array,
+    time_s: jax.Array,
+) -> Grips:
+    """Return grips after those closed that are at the body, as they are there.
+
+    A gripper closes once; one that broke or opened stays so.
+
+    Args:
+        approach: settings.
+        grips: of the robots [R] of one world, open ones where they are to hold the body.
+        now: grips where the robots are.
+        speed_mps: [R] of the grippers against the body.
+        running: bool [R] whether a robot's episode goes on.
+        time_s: [] at which they close.
+    """
+    if grips.closed_s is None:
+        raise RuntimeError("grips of this world are closed from the start")
+    offset = now.position_m - grips.position_m
+    turned = jax.vmap(quaternion.multiply)(jax.vmap(quaternion.conjugate)(grips.q), now.q)
+    angle = 2.0 * jnp.arctan2(jnp.sqrt(jnp.sum(turned[:, 1:] ** 2, axis=1)), jnp.abs(turned[:, 0]))
+    near = jnp.sqrt(jnp.sum(offset * offset, axis=1)) < approach.within_m
+    near &= (angle < approach.within_rad) & (speed_mps < approach.within_mps)
+    closes = running & jnp.isinf(grips.closed_s) & near
+
+    def take(new: jax.Array, old: jax.Array) -> jax.Array:
+        return jnp.where(closes.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
+
+    return replace(
+        grips,
+        held=grips.held | closes,
+        position_m=take(now.position_m, grips.position_m),
+        q=take(now.q, grips.q),
+        center_m=take(now.center_m, grips.center_m),
+        lever_m=take(now.lever_m, grips.lever_m),
+        closed_s=jnp.where(closes, time_s, grips.closed_s),
+    )
 
 
 def record_grips(grips: Grips) -> GripRecord:

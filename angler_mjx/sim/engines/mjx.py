@@ -25,14 +25,16 @@ from angler_mjx.sim.phase import Record, run_phase
 from angler_mjx.sim.physics import mjx_engine
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.contact.candidates import Rock
-from angler_mjx.sim.physics.contact.grips import Grips
+from angler_mjx.sim.physics.contact.grips import Grips, take_hold
 from angler_mjx.sim.physics.mjx_engine import BodyInertia
 from angler_mjx.sim.physics.step import Multibody, VehicleState
 from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.posture import locate_end_effectors
 from angler_mjx.sim.record import Belief, Sample, build_sample
 from angler_mjx.sim.state import (
     EngineConstants,
     FleetWorld,
+    Outcome,
     SimSpec,
     World,
     WorldState,
@@ -239,6 +241,26 @@ def move_in_contact(
     return result, obstacles, grips, impacts, record | record_move(batch, inputs)
 
 
+def close_grips(
+    batch: SingleWorld, robots: MovedRobots, obstacles: ObstacleState, grips: Grips | None
+) -> Grips | None:
+    """Return grips of one world after those closed that have come to the body."""
+    carried, contact = batch.spec.cargo, batch.spec.contact
+    if grips is None or carried is None or carried.approach is None:
+        return grips
+    if contact is None or contact.grip is None:
+        raise RuntimeError("the simulation has no contact")
+    vehicles, tips = robots.vehicle, None
+    if contact.grip.by_end_effector and vehicles.joints is not None:
+        params = batch.world.control.vehicle
+        tips = locate_end_effectors(params, vehicles.joints.position)
+    now = take_hold(contact.grip, vehicles.p, vehicles.q, obstacles.p, obstacles.q, tips)
+    speed_mps = cargo.find_grip_speeds(carried, vehicles, now.lever_m, obstacles)
+    running = robots.tally.outcome == Outcome.RUNNING
+    end_s = batch.t + batch.spec.control_dt_s
+    return cargo.close_grips(carried.approach, grips, now, speed_mps, running, end_s)
+
+
 def measure_cargo(
     batch: SingleWorld, obstacles: ObstacleState, grips: Grips | None, impacts: Impacts
 ) -> tuple[Impacts, Grips | None, jax.Array | None]:
@@ -324,6 +346,7 @@ def control_step(
             batch, robots, state.obstacles, *driven, grips, state.step
         )
         seen = record_obstacles(state.obstacles)
+        grips = close_grips(batch, moved, obstacles, grips)
         impacts, grips, brought = measure_cargo(batch, obstacles, grips, impacts)
         finished = output.finished if brought is None else brought
     begin_s = output.last_approach_s

@@ -31,6 +31,8 @@ class CarryRules:
     max_slip_m: float | None
     """Slip beyond which jaws have lost the body; None of welds."""
     by_end_effector: bool
+    is_gripped_in_flight: bool
+    """Whether grippers begin open and close at the body."""
 
     @property
     def can_drop(self) -> bool:
@@ -70,6 +72,7 @@ def read_carry_rules(table: Mapping[str, Any], control_dt_s: float) -> CarryRule
         break_force_n=None if limit is None else float(limit),
         max_slip_m=float(table["max_slip_m"]) if has_jaws else None,
         by_end_effector=table.get("hold", "hull") == "end_effector",
+        is_gripped_in_flight=table.get("approach") is not None,
     )
 
 
@@ -103,21 +106,29 @@ def find_margin(rules: CarryRules, cargo: CargoRecord, every: int) -> Floats:
     return margin
 
 
-def find_slip(cargo: CargoRecord, point_m: Floats, q: Floats | None) -> tuple[Floats, Floats]:
-    """Return how far [T] m and rad a grip is from its first pose in the body's frame.
+def find_slip(
+    cargo: CargoRecord, point_m: Floats, q: Floats | None, first: int
+) -> tuple[Floats, Floats]:
+    """Return how far [T] m and rad a grip is from its first pose in the body's frame; 0 before.
 
     Args:
         cargo: record of the body.
         point_m: [T, 3] point of the grip in W.
         q: [T, 4] attitude of what holds the body; None where it is not recorded.
+        first: state in which it took hold; T for never.
     """
+    if first >= len(point_m):
+        return np.zeros(len(point_m)), np.zeros(len(point_m))
+    before = np.arange(len(point_m)) < first
     in_body = rotate_back(cargo.q, point_m - cargo.p)
-    slip: Floats = np.linalg.norm(in_body - in_body[0], axis=1)
+    slip: Floats = np.linalg.norm(in_body - in_body[first], axis=1)
+    slip[before] = 0.0
     if q is None:
         return slip, np.zeros_like(slip)
     turned = _multiply(_conjugate(cargo.q), q)
-    apart = _multiply(_conjugate(turned[0]), turned)
+    apart = _multiply(_conjugate(turned[first]), turned)
     angle: Floats = 2.0 * np.arctan2(np.linalg.norm(apart[:, 1:], axis=1), np.abs(apart[:, 0]))
+    angle[before] = 0.0
     return slip, angle
 
 

@@ -234,6 +234,7 @@ def open_run(path: Path) -> RefereeRun:
         *(TASK_NUMBER_COLUMNS if task is not None else ()),
         *(CONTACT_NUMBER_COLUMNS if has_contacts else ()),
         *(CARRY_NUMBER_COLUMNS if carry is not None else ()),
+        *(("gripped_s",) if carry is not None and carry.is_gripped_in_flight else ()),
     ]
     rows = read_rows(path / "episodes.parquet", len(robots), more)
     return RefereeRun(

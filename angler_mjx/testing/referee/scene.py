@@ -73,7 +73,8 @@ class RefereeScene:
         """
         if self.run.carry is not None:
             margin = carrying.find_margin(self.run.carry, self.cargo, self.run.every)
-            return np.repeat(margin[:, None], self.world.p.shape[1], axis=1)
+            holds = np.arange(len(margin))[:, None] >= self.gripped
+            return np.where(holds, margin[:, None], np.inf)
         if self.run.by_task:
             finished = np.full(self.world.p.shape[1], teamwork.NEVER)
             if self.task is not None and self.shows_finish:
@@ -93,12 +94,25 @@ class RefereeScene:
         p, q = self.world.obstacle_p[:, rules.body], self.world.obstacle_q[:, rules.body]
         return carrying.CargoRecord(p=p, q=q)
 
+    @cached_property
+    def gripped(self) -> Ints:
+        """[R] first state in which each robot holds the body; T if it never does."""
+        rules, states = self.run.carry, len(self.world.step)
+        if rules is None or not rules.is_gripped_in_flight:
+            return np.zeros(len(self.rows), np.int64)
+        times = np.array([float(row["gripped_s"]) for row in self.rows])
+        steps = np.where(np.isfinite(times), np.rint(times / self.run.control_dt_s), 2**31)
+        first: Ints = np.minimum(np.searchsorted(self.world.step, steps), states)
+        return first
+
     def find_slip(self, robot: int) -> tuple[Floats, Floats]:
         """Return how far [T] m and rad the body is from where a robot took hold of it."""
         rules = self.run.carry
+        first = int(self.gripped[robot])
         if rules is None or not rules.by_end_effector:
-            return carrying.find_slip(self.cargo, self.world.p[:, robot], self.world.q[:, robot])
-        return carrying.find_slip(self.cargo, self._end_effectors_m()[:, robot], None)
+            p, q = self.world.p[:, robot], self.world.q[:, robot]
+            return carrying.find_slip(self.cargo, p, q, first)
+        return carrying.find_slip(self.cargo, self._end_effectors_m()[:, robot], None, first)
 
     def _end_effectors_m(self) -> Floats:
         """Return the end effectors [T, R, 3] of the robots; NaN without joints or without one."""

@@ -98,6 +98,11 @@ class AutopilotScene:
             'type = "goal" or "carry"',
             also=(CarryTask,),
         )
+        if isinstance(scenario.task, CarryTask) and scenario.task.approach is not None:
+            raise ConfigError(
+                "task.approach: grippers that close in flight are not flown beside autopilots; "
+                "leave it out, or fly it with angler rollout"
+            )
         refuse_acoustics(
             scenario.acoustics,
             'autopilots hear nothing of each other; take "perfect", or fly it with angler rollout',

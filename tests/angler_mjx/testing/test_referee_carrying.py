@@ -246,3 +246,26 @@ def test_a_touch_ends_nothing_where_bodies_push_each_other(tmp_path):
     assert disagreements(path)[0] == {(0, "failure_pair")}
     edit_rows(path, 0, 0, failure_pair="obstacle:1", impact_speed_mps=0.2, impact_energy_j=1.0)
     assert disagreements(path)[0] == set()
+
+
+def test_who_takes_hold_in_flight_brings_the_body_from_then_on(tmp_path):
+    """Robot 0 comes down to the body in 1 s; robot 1 never closes its gripper."""
+    fetched = {"approach": {"above_m": 1.0}}
+    flight = build([("reached", ARRIVAL), ("timeout", STEPS)], fetched)
+    down = np.clip(1.0 - 0.05 * np.arange(STEPS + 1), 0.0, None)
+    flight.p[:, 0, 2] += down
+    ways = np.linalg.norm(np.diff(flight.p[: ARRIVAL + 1, 0], axis=0), axis=1)
+    flight.rows[0] |= {"path_length_m": float(np.sum(ways)), "gripped_s": 20 * DT_S}
+    flight.rows[1] |= {"gripped_s": np.nan}
+    path = write(tmp_path / "run", flight)
+    assert disagreements(path)[0] == set()
+    # It held the body before it was there.
+    edit_rows(path, 0, 0, gripped_s=10 * DT_S)
+    assert disagreements(path)[0] == {(0, "grip")}
+    # It had not taken hold when it arrived.
+    edit_rows(path, 0, 0, gripped_s=(ARRIVAL + 1) * DT_S)
+    assert (0, "outcome") in disagreements(path)[0]
+    edit_rows(path, 0, 0, gripped_s=20 * DT_S)
+    # Who holds the body when it arrives is no timeout.
+    edit_rows(path, 0, 1, gripped_s=20 * DT_S)
+    assert (1, "outcome") in disagreements(path)[0]
