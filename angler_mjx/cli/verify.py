@@ -65,7 +65,12 @@ def _print_verdict(verdict: "RefereeVerdict") -> None:
 
     from angler_mjx.cli.shared.text_table import build_text_table as text_table
     from angler_mjx.runs.storage import planning_summary
-    from angler_mjx.testing.referee import QUANTITIES, TASK_QUANTITIES
+    from angler_mjx.testing.referee import (
+        CARRY_QUANTITIES,
+        CONTACT_QUANTITIES,
+        QUANTITIES,
+        TASK_QUANTITIES,
+    )
 
     for finding in verdict.differences[:MAX_DIFFERENCES]:
         print(finding.line())
@@ -84,7 +89,7 @@ def _print_verdict(verdict: "RefereeVerdict") -> None:
         title=f"{verdict.run}: {verdict.worlds} worlds, {verdict.robots} robots, "
         f"sampled {verdict.sampled}",
     )
-    units = {**QUANTITIES, **TASK_QUANTITIES}
+    units = {**QUANTITIES, **TASK_QUANTITIES, **CONTACT_QUANTITIES, **CARRY_QUANTITIES}
     for name, count in verdict.counts.items():
         unit = units[name]
         numbers = (count.exact, count.bounded, count.unchecked, count.undecided, count.disagrees)

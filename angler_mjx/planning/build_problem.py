@@ -46,7 +46,7 @@ def build_problem(
     """
     environment, water, levels = world.environment, spec.water, settings.information
     start_m, start_yaw_rad = environment.start_m, environment.start_yaw_rad
-    cargo, environment = _take_cargo(spec, environment)
+    cargo, environment = _take_cargo(spec, environment, now)
     at_m = begin_s = None
     if now is not None:
         at_m, begin_s = now.at_m, now.time_s
@@ -73,25 +73,42 @@ def build_problem(
     )
 
 
-def _take_cargo(spec: SimSpec, environment: Environment) -> tuple[CargoProblem | None, Environment]:
-    """Return what the team carries, and the environment without it."""
+def _take_cargo(
+    spec: SimSpec, environment: Environment, now: SceneObservation | None
+) -> tuple[CargoProblem | None, Environment]:
+    """Return what the team carries, from where it is now, and the environment without it."""
     if spec.cargo is None:
         return None, environment
     body, rows = spec.cargo.body, environment.obstacles
-    start_m = rows.p0[body]
+    start_m, start_q, turn_rad = rows.p0[body], rows.q0[body], spec.cargo.turn_rad
+    turned_rad = jnp.zeros((), start_m.dtype)
+    if now is not None:
+        start_m, start_q = now.obstacles.p[body], now.obstacles.q[body]
+        turn = quaternion.multiply(start_q, quaternion.conjugate(rows.q0[body]))
+        # Less than half a turn backwards, so that turns beyond half a turn are counted.
+        least_rad = -0.5 * jnp.pi if turn_rad >= 0.0 else -1.5 * jnp.pi
+        turned_rad = jnp.mod(quaternion.yaw(turn) - least_rad, 2.0 * jnp.pi) + least_rad
     kind, size = rows.kind[body], rows.size_m[body]
     # Along the longest edge of a box, as thick as its section's circumcircle.
     longest = jnp.arange(3) == jnp.argmax(size)
     axis = jnp.where(kind == BOX, jnp.where(longest, size, 0.0), jnp.zeros(3).at[2].set(size[1]))
     section = jnp.sqrt(jnp.sum(jnp.where(longest, 0.0, size) ** 2))
     cargo = CargoProblem(
-        axis_m=quaternion.rotate(rows.q0[body], axis),
+        axis_m=quaternion.rotate(start_q, axis),
         thickness_m=jnp.where(kind == BOX, section, size[0]),
         start_m=start_m,
         goal_m=jnp.asarray(spec.cargo.goal_m, start_m.dtype),
-        turn_rad=jnp.asarray(spec.cargo.turn_rad, start_m.dtype),
+        turn_rad=jnp.asarray(turn_rad, start_m.dtype) - turned_rad,
         radius_m=bounding_radius(kind, size),
     )
+    if now is None and spec.cargo.approach is not None:
+        approach, dtype = spec.cargo.approach, start_m.dtype
+        cargo = replace(
+            cargo,
+            grip_m=environment.start_m.at[:, 2].add(-approach.above_m),
+            wait_s=jnp.asarray(approach.wait_s, dtype),
+            lift_m=jnp.asarray(approach.lift_m, dtype),
+        )
     others = replace(rows, exists=rows.exists.at[body].set(False))
     return cargo, replace(environment, obstacles=others)
 

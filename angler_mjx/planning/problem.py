@@ -96,7 +96,7 @@ class Team:
 class CargoProblem:
     """Body that the robots hold together; each keeps its pose in the body's frame.
 
-    Starts and goals of the team are those of robots that hold it.
+    Goals of the team are those of robots that hold it, and so are starts where ``grip_m`` is None.
     """
 
     start_m: jax.Array
@@ -111,6 +111,13 @@ class CargoProblem:
     """[3] from its centre to one end of the axis of a capsule that holds it, at the start, in W."""
     thickness_m: jax.Array
     """[] radius of that capsule."""
+    grip_m: jax.Array | None = None
+    """[R, 3] positions at which the robots take hold of it at the start, with their headings there,
+    in W; None where they hold it already."""
+    wait_s: jax.Array | None = None
+    """[] time that their grippers may take to close; None likewise."""
+    lift_m: jax.Array | None = None
+    """[] height by which it is to be lifted straight up first; None likewise."""
 
 
 _STATIC = {"static": True}

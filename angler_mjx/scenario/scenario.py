@@ -3,11 +3,9 @@
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
-import jax
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -27,16 +25,16 @@ from angler_mjx.files import (
 )
 from angler_mjx.planning.planner_choice import LARGE_TEAM
 from angler_mjx.quantities import MAX_COORDINATE_M, SchemaVersion
-from angler_mjx.robot.control.laws.cargo_part import CargoPartGains
 from angler_mjx.robot.control.stack import StackGains, Stages
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.links import order_joints
 from angler_mjx.robot.vehicles.load import Load
 from angler_mjx.scenario import instrumented, table_checks
+from angler_mjx.scenario.carry_table import CarryTask, fill_cargo_gains, find_cargo_load
 from angler_mjx.scenario.contact_table import ContactConfig, check_bodies
 from angler_mjx.scenario.fleet_entry import FleetEntry
-from angler_mjx.scenario.load_table import check_load, split_load
+from angler_mjx.scenario.load_table import check_load
 from angler_mjx.scenario.path_resolution import resolve_paths
 from angler_mjx.scenario.policy_tables import (
     PolicyConfig,
@@ -57,7 +55,6 @@ from angler_mjx.scenario.tables import (
     check_replanning,
 )
 from angler_mjx.scenario.task_table import (
-    CarryTask,
     DeliverTask,
     GoalTask,
     TaskConfig,
@@ -65,7 +62,7 @@ from angler_mjx.scenario.task_table import (
     check_task_policy,
 )
 from angler_mjx.shipped import find_shipped, list_shipped
-from angler_mjx.sim.cargo import CargoSpec
+from angler_mjx.sim.cargo import CargoSpec, GripNoise
 from angler_mjx.sim.fleet import Member
 from angler_mjx.sim.physics.step import Water
 from angler_mjx.sim.state import SimSpec
@@ -74,7 +71,6 @@ from angler_mjx.world.acoustics.channel import Channel
 from angler_mjx.world.acoustics.config import AcousticsConfig
 from angler_mjx.world.config import WorldConfig, resolve_world
 from angler_mjx.world.currents import CurrentConfig, GridConfig
-from angler_mjx.world.obstacles.explicit import explicit_rows
 from angler_mjx.world.tasks.spec import TaskSpec
 
 type Kernels = Literal["xla", "cuda"]
@@ -257,6 +253,7 @@ class Scenario(FileModel):
             self.channel()
         except ValueError as error:
             raise ValueError(f"acoustics.{error}") from error
+        table_checks.check_grip_record(self.store, carries=isinstance(self.task, CarryTask))
         table_checks.check_acoustics(self.acoustics, self.store, self.planner)
         return self
 
@@ -295,43 +292,24 @@ class Scenario(FileModel):
         """Return what the fleet carries, and where to; None where it carries nothing together."""
         return self.task.cargo if isinstance(self.task, CarryTask) else None
 
-    def cargo_load(self) -> Load | None:
-        """Return what each robot bears of a body that the fleet carries; None where there is none.
+    @property
+    def grip_noise(self) -> GripNoise | None:
+        """Return the errors of the force-torque sensors of grips; None where there are none."""
+        return self.task.grip_noise if isinstance(self.task, CarryTask) else None
 
-        Added mass and drag are those along the axes of the robots, on average.
-        """
+    def cargo_load(self) -> Load | None:
+        """Return the part of each robot in a body that the fleet carries; None without one."""
         if not isinstance(self.task, CarryTask):
             return None
-        world, density = resolve_world(self.world), self.water.density_kgpm3
-        with jax.ensure_compile_time_eval():  # also where it is asked for within a program
-            return split_load(
-                explicit_rows(world.obstacles.explicit, density),
-                self.task.body,
-                np.subtract(world.goal_m, world.start_m),
-                density,
-            )
+        return find_cargo_load(self.task, self.world, self.water.density_kgpm3)
 
     def _fill_cargo_gains(self, controllers: Stages, gains: StackGains) -> StackGains:
         """Return gains in which stages of carriers know the part of each robot in its load."""
         load = self.cargo_load()
         if load is None or not isinstance(self.task, CarryTask):
             return gains
-        drag = (0.5 * load.density_kgpm3 * area for area in load.drag_area_m2)
-        world = resolve_world(self.world)
-        below_m = np.mean([start[2] for start in world.start_m])
-        below_m -= world.obstacles.explicit[self.task.body].position_m[2]
-        values = {
-            "depth_m": max(0.0, float(below_m)),
-            "weight_n": max(0.0, load.mass_kg - load.density_kgpm3 * load.volume_m3)
-            * Water().gravity_mps2,
-            **dict(zip(("drag_x_n", "drag_y_n", "drag_z_n"), drag, strict=True)),
-        }
-        stated = self.controller.gains
-        return tuple(
-            replace(numbers, **(values | dict(stated.get(stage.name, {}))))
-            if isinstance(numbers, CargoPartGains)
-            else numbers
-            for stage, numbers in zip(controllers, gains, strict=True)
+        return fill_cargo_gains(
+            self.task, self.world, load, controllers, gains, self.controller.gains
         )
 
     def task_spec(self) -> TaskSpec | None:

@@ -15,7 +15,8 @@ class StoreConfig(FileModel):
 
     also: tuple[RecordOption, ...] = ()
     """Arrays beside those of all runs: the thrusters' `wrench`; `clearance`, distances to the
-    nearest obstacles; `acoustics`, fraction of packets received and age of information."""
+    nearest obstacles; `acoustics`, fraction of packets received and age of information; `grips`,
+    who holds the body of a task `carry`, with the force and moment of each grip."""
     position_mm: float | None = Field(default=None, ge=0.01, le=1000.0)
     """Step of positions and distances; exact if left out, as are the following."""
     velocity_mmps: float | None = Field(default=None, ge=0.01, le=1000.0)

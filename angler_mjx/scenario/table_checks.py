@@ -271,6 +271,14 @@ def check_takes_poses(
     )
 
 
+def check_grip_record(store: StoreConfig, *, carries: bool) -> None:
+    """Refuse records of grips where robots hold nothing."""
+    if "grips" in store.also and not carries:
+        raise ValueError(
+            'store.also: "grips" are those of task.type = "carry"; leave it out, or take that task'
+        )
+
+
 def check_acoustics(acoustics: AcousticsConfig, store: StoreConfig, planner: PlannerConfig) -> None:
     """Refuse records of packets without acoustics, and replanning with them."""
     if "acoustics" in store.also and acoustics.model == "perfect":

@@ -13,12 +13,12 @@ import jax
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles.link_motion import JointMotion
 from angler_mjx.sim.physics.step import VehicleState
-from angler_mjx.sim.record import JointRecord
+from angler_mjx.sim.record import GripRecord, JointRecord
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.world.currents import Current
 from angler_mjx.world.obstacles import ObstacleState
 
-type Record = dict[str, jax.Array | JointRecord]
+type Record = dict[str, jax.Array | JointRecord | GripRecord]
 """Fields that `angler_mjx.sim.record` declares for a phase."""
 
 

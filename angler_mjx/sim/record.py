@@ -31,6 +31,9 @@ CLEARANCE = "clearance"
 ESTIMATE = "estimate"
 """Group of what the controllers were told, where that was not the truth."""
 
+GRIPS = "grips"
+"""Group of what robots that hold a body together measure of it."""
+
 TASK = "task"
 """Group of how far the task is."""
 
@@ -39,7 +42,7 @@ type PhaseName = Literal[
 ]
 """``sample`` computes it from the rest of a sample (`angler_mjx.sim.sample_clearances`)."""
 
-type RecordOption = Literal["wrench", "clearance", "acoustics"]
+type RecordOption = Literal["wrench", "clearance", "acoustics", "grips"]
 """What is recorded only where it is asked for."""
 
 
@@ -209,6 +212,38 @@ class AcousticsRecord:
         )
     )
     """[R]"""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class GripRecord:
+    """Grips of robots that hold a body together; [R] leads."""
+
+    held: jax.Array = field(
+        metadata=_field_metadata(
+            "move",
+            f"{GRIPS}/held",
+            "robot",
+            "1",
+            "1 where the robot holds the body",
+            whole=True,
+            stored="uint8",
+            option="grips",
+        )
+    )
+    """int32 [R]."""
+    wrench: jax.Array = field(
+        metadata=_field_metadata(
+            "move",
+            f"{GRIPS}/wrench",
+            "robot xyzkmn",
+            "N, N m",
+            "force and moment [X Y Z K M N] of the body on the robot about its centre of mass, "
+            "body frame: mean of the control period before the sample, without noise",
+            option="grips",
+        )
+    )
+    """[R, 6] in F."""
 
 
 @jax.tree_util.register_dataclass
@@ -430,6 +465,8 @@ class Sample:
     """How far the task is; None where each robot has a goal of its own."""
     joints: JointRecord | None = field(default=None, metadata={"parts": JointRecord})
     """Motion of the joints; None where no vehicle of the fleet has any."""
+    grips: GripRecord | None = field(default=None, metadata={"parts": GripRecord})
+    """Grips of robots that hold a body together, where they are asked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -496,7 +533,9 @@ class WorldRecord:
     task: ProgressRecord | None = None
 
 
-def build_sample(worlds: WorldRecord, bodies: Mapping[str, jax.Array | JointRecord]) -> Sample:
+def build_sample(
+    worlds: WorldRecord, bodies: Mapping[str, jax.Array | JointRecord | GripRecord]
+) -> Sample:
     """Return the sample of what phases of worlds, and of robots and obstacles, recorded."""
     recorded: dict[str, Any] = {**vars(worlds), **bodies}
     return Sample(**recorded)

@@ -10,7 +10,7 @@ from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim import hearing, robot, sensing
 from angler_mjx.sim import policy as policies
-from angler_mjx.sim.cargo import find_error
+from angler_mjx.sim.cargo import find_error, open_grips
 from angler_mjx.sim.detection import detect_contacts
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.contact.grips import take_hold
@@ -74,7 +74,12 @@ def reset[Body](
         if grip.by_end_effector:
             assert vehicles.joints is not None  # the scenario refuses fleets without arms
             tips = locate_end_effectors(world.control.vehicle, vehicles.joints.position)
-        grips = take_hold(grip, vehicles.p, vehicles.q, moving.p, moving.q, tips)
+        hold_m, approach = vehicles.p, spec.cargo.approach
+        if approach is not None:
+            hold_m = hold_m.at[:, 2].add(-approach.above_m)
+        grips = take_hold(grip, hold_m, vehicles.q, moving.p, moving.q, tips)
+        if approach is not None:
+            grips = open_grips(grips)
     state = WorldState(
         vehicles=vehicles,
         carry=jax.vmap(partial(robot.reset_controllers, spec))(vehicles, environment.start_yaw_rad),

@@ -13,7 +13,7 @@ from angler_mjx.robot.control.navigation import NavigationParams
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import ControlMemory, ControlParams, StackGains, Stages
 from angler_mjx.robot.sensing.readings import SensorCarry
-from angler_mjx.sim.cargo import CargoError, CargoSpec
+from angler_mjx.sim.cargo import CargoError, CargoSpec, GripSensors
 from angler_mjx.sim.physics.contact.grips import Grips
 from angler_mjx.sim.physics.contact.resolve import ContactSpec
 from angler_mjx.sim.physics.mjx_engine import BodyInertia
@@ -159,6 +159,8 @@ class World:
     them."""
     task: TaskWorld | None = None
     """None where each robot has a goal of its own."""
+    grip_sensors: GripSensors | None = None
+    """Of the robots' grips; None where they hold nothing, or measure it without errors."""
 
     @property
     def planned(self) -> jax.Array:

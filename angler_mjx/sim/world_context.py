@@ -92,7 +92,9 @@ class WorldContext:
             routes=self.world.routes,
             goal_index=goals.goal_index,
             joint_position=None if joints is None else joints.position,
-            grip=None if self.grips is None else read_grips(self.grips),
+            grip=None
+            if self.grips is None
+            else read_grips(self.grips, self.world.grip_sensors, self.number),
         )
         return self._add_scenery(inputs)
 

@@ -11,6 +11,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.files import FOLDER_CONTEXT, format_path, parse_model, read_toml
 from angler_mjx.learning.datasets.config import DatasetConfig, DatasetScene, Expert
 from angler_mjx.runs.multi_run import RUNS_FOLDER
+from angler_mjx.scenario.carry_table import CarryTask
 from angler_mjx.scenario.editing import merge_tables, remove_horizon, scenario_table
 from angler_mjx.scenario.scenario import Scenario, load_relative_scenario
 from angler_mjx.scenario.task_table import require_goal_task
@@ -45,7 +46,9 @@ def read_config(path: Path) -> tuple[DatasetConfig, dict[str, Any]]:
         DatasetConfig, read_toml(path), source=str(path), context={FOLDER_CONTEXT: folder}
     )
     scenario = load_relative_scenario(config.scenario, folder)
-    require_goal_task(scenario.task, f"{path}: experts plan ways to one goal; leave it out")
+    require_goal_task(
+        scenario.task, f"{path}: experts plan ways to one goal; leave it out", also=(CarryTask,)
+    )
     return config, scenario_table(scenario)
 
 
@@ -124,6 +127,8 @@ def _build_part(
         scenario_table = remove_horizon(scenario_table)
     scenario_table |= _build_expert_tables(scenario_table, expert)
     scenario_table |= {"worlds": worlds, "seed": part_seed(config.seed, number)}
+    if scenario_table.get("task", {}).get("type") == "carry":
+        scenario_table = _record_grips(scenario_table)
     scenario = parse_model(Scenario, scenario_table, source=source_name)
     if team is not None:
         scenario = with_team(
@@ -143,6 +148,12 @@ def _build_part(
         split=scene.split,
         scenario=scenario.model_copy(update={"name": config.name}),
     )
+
+
+def _record_grips(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table of a scenario that records the grips of its robots."""
+    also = tuple(table.get("store", {}).get("also", ()))
+    return merge_tables(table, {"store": {"also": [*also, *({"grips"} - set(also))]}})
 
 
 def _build_expert_tables(table: Mapping[str, Any], expert: Expert) -> dict[str, dict[str, object]]:

@@ -13,7 +13,14 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.carry.carriers import PEAK_SPEED, ease, follow_body
+from angler_mjx.planning.carry.carriers import (
+    APPROACH_POINTS,
+    PEAK_SPEED,
+    add_approach,
+    ease,
+    follow_body,
+    hold_positions,
+)
 from angler_mjx.planning.path_search.grid import plan_grid
 from angler_mjx.planning.path_search.robot_search import path_search_config, require_still_water
 from angler_mjx.planning.problem import CargoProblem, Problem, ProblemSettings, Team
@@ -39,8 +46,11 @@ class CarryPlanner:
         if problem.cargo is None:
             raise ConfigError('planner carry: plans the task "carry" alone; take another planner')
         team, cargo = problem.team, problem.cargo
+        if cargo.grip_m is not None and cargo.lift_m is not None:
+            up = cargo.lift_m * jnp.asarray([0.0, 0.0, 1.0], cargo.start_m.dtype)
+            cargo = replace(cargo, start_m=cargo.start_m + up, grip_m=cargo.grip_m + up)
         path = _plan_body(problem, team, cargo)
-        return _follow_body(team, cargo, path, problem.points)
+        return _follow_body(team, problem.cargo, cargo, path, problem.points)
 
     def plan_batch(self, problems: Problem) -> JointTrajectory:
         """Return the paths of all worlds; see `BatchPlanner`."""
@@ -49,7 +59,8 @@ class CarryPlanner:
 
 def _plan_body(problem: Problem, team: Team, cargo: CargoProblem) -> Trajectory:
     """Return the path [] of the body's centre, at the cruise speed of the slowest robot."""
-    offset = jnp.sqrt(jnp.sum((team.start_m - cargo.start_m) ** 2, axis=1))
+    offset = hold_positions(team, cargo) - cargo.start_m
+    offset = jnp.sqrt(jnp.sum(offset**2, axis=1))
     radius_m = jnp.maximum(jnp.max(offset + team.radius_m), cargo.radius_m)
     first: Team = jax.tree.map(lambda leaf: leaf[:1], replace(team, arms=None))
     body = replace(
@@ -65,16 +76,28 @@ def _plan_body(problem: Problem, team: Team, cargo: CargoProblem) -> Trajectory:
     return path
 
 
-def _follow_body(team: Team, cargo: CargoProblem, path: Trajectory, points: int) -> JointTrajectory:
-    """Return the paths [R] of robots that hold a body on its way."""
-    eased = ease(jnp.linspace(0.0, 1.0, points, dtype=path.time_s.dtype))
+def _follow_body(
+    team: Team, cargo: CargoProblem, lifted: CargoProblem, path: Trajectory, points: int
+) -> JointTrajectory:
+    """Return the paths [R] of robots that hold a body on its way.
+
+    Args:
+        team: at the start.
+        cargo: at the start.
+        lifted: where its way begins.
+        path: [] of its centre.
+        points: of each path.
+    """
+    body_points = points if cargo.grip_m is None else points - APPROACH_POINTS
+    eased = ease(jnp.linspace(0.0, 1.0, body_points, dtype=path.time_s.dtype))
     straight_s = path.time_s[-1]
     at_m, _ = jax.vmap(sample_reference, (None, 0))(path, eased * straight_s)
-    offset = team.start_m - cargo.start_m
+    offset = hold_positions(team, lifted) - lifted.start_m
     reach_m = jnp.max(jnp.sqrt(jnp.sum(offset[:, :2] ** 2, axis=1)))
     turning_s = reach_m * jnp.abs(cargo.turn_rad) / jnp.min(team.cruise_speed_mps)
     duration_s = jnp.maximum(PEAK_SPEED * (straight_s + turning_s), 1e-3)
-    moving = follow_body(team, cargo, at_m, eased * cargo.turn_rad, duration_s)
+    moving = follow_body(team, lifted, at_m, eased * cargo.turn_rad, duration_s)
+    moving = add_approach(team, cargo, moving)
     held = hold_position(team.start_m, team.start_yaw_rad, points)
     found = jnp.broadcast_to(path.found, moving.time_s.shape[:1])
     chosen: JointTrajectory = jax.tree.map(

@@ -31,6 +31,7 @@ from angler_mjx.runs.session.state_view import (
     view_state,
 )
 from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.scenario.carry_table import CarryTask
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.scenario.task_table import require_goal_task
 from angler_mjx.sim.record import Sample
@@ -301,7 +302,9 @@ def _resolve_scenario(
     resolved = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     require_goal_task(
         resolved.task,
-        'a session has no tasks; fly it with angler rollout, or take a scenario of type = "goal"',
+        'a session has no tasks but "goal" and "carry"; fly it with angler rollout, or take a '
+        "scenario of these types",
+        also=(CarryTask,),
     )
     changes: dict[str, object] = {"tile": 1, "kernels": "xla"}
     if engine not in (None, "mjx", "fused"):

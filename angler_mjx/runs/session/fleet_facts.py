@@ -53,6 +53,8 @@ class FleetFacts:
     joints: tuple[str, ...]
     """Names of the joints of arms; empty where no robot has any."""
     obstacles: ObstacleRows
+    cargo: int | None = None
+    """Row in ``obstacles`` of the body that the robots hold together; None for none."""
 
     def command_limits(self, points: int, start_tolerance: float) -> CommandLimits:
         """Return the limits of a session of this world, at least the sizes of its own plans.
@@ -80,6 +82,7 @@ def gather_facts(simulator: Simulator, worlds: FleetWorld) -> FleetFacts:
     path: Plan = jax.tree.map(lambda leaf: leaf[0], jax.device_get(worlds.path))
     obstacles = worlds.environment.obstacles
     rows = np.flatnonzero(np.asarray(obstacles.exists)[0])
+    carried = simulator.spec.cargo
     robots = tuple(_robot_info(simulator, worlds, i) for i in range(count))
     return FleetFacts(
         robots=robots,
@@ -96,6 +99,7 @@ def gather_facts(simulator: Simulator, worlds: FleetWorld) -> FleetFacts:
             kind=np.asarray(obstacles.kind)[0][rows],
             size_m=np.asarray(obstacles.size_m)[0][rows],
         ),
+        cargo=None if carried is None else int(np.searchsorted(rows, carried.body)),
     )
 
 

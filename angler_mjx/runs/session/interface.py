@@ -14,7 +14,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from angler_mjx.robot.control.commands import BodyWrench, Estimate, ThrusterPwm
+from angler_mjx.robot.control.commands import (
+    BodyWrench,
+    Estimate,
+    GripReading,
+    ThrusterPwm,
+)
 from angler_mjx.robot.control.commands.joint_goal import JointGoal
 from angler_mjx.robot.control.commands.whole_body import JointTarget
 from angler_mjx.robot.control.stack import Command
@@ -86,6 +91,22 @@ class SceneObstacles:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SceneCargo:
+    """Body that the robots hold together; [R] leads."""
+
+    obstacle: int
+    """Row of the body in `Observation.obstacles`."""
+    held: NDArray[np.bool_]
+    """[R] whether the robot holds it."""
+    reading: GripReading
+    """[R, 6] wrench and [R, 3] points, as laws receive them."""
+    distance_m: Floats
+    """[R] distance of the body from its goal, until the robot's episode ends."""
+    angle_rad: Floats
+    """[R] angle from its attitude at the goal, likewise."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Observation:
     """Scene at one time; arrays are numpy's, [R] leads."""
 
@@ -113,6 +134,8 @@ class Observation:
     """[R] from the hull to the nearest of cells, floor and obstacles; None where unknown. Exact up
     to a radius, and that radius beyond it."""
     obstacles: SceneObstacles | None
+    cargo: SceneCargo | None = None
+    """Body that the robots hold together; None where they hold nothing."""
     status: tuple[RobotStatus, ...]
     readings: Mapping[str, object] = field(default_factory=dict)
     """Latest readings of the instruments by name, [R] leading; empty without instruments."""

@@ -9,7 +9,13 @@ import numpy as np
 from angler_kernels import quaternion
 from angler_kernels.rigid_body import matrix_times
 from angler_mjx.host_arrays import as_leaf
-from angler_mjx.robot.control.commands import BodyWrench, Estimate, ThrusterPwm, joint_tolerance
+from angler_mjx.robot.control.commands import (
+    BodyWrench,
+    Estimate,
+    GripReading,
+    ThrusterPwm,
+    joint_tolerance,
+)
 from angler_mjx.robot.control.commands.joint_tolerance import Tolerances
 from angler_mjx.robot.control.commands.joint_trajectory import (
     VEHICLE_JOINTS,
@@ -21,8 +27,15 @@ from angler_mjx.robot.control.laws.follow import FollowCarry
 from angler_mjx.robot.vehicles.link_motion import JointMotion
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.runs.session.fleet_facts import FleetFacts
-from angler_mjx.runs.session.interface import Floats, Observation, RobotStatus, SceneObstacles
+from angler_mjx.runs.session.interface import (
+    Floats,
+    Observation,
+    RobotStatus,
+    SceneCargo,
+    SceneObstacles,
+)
 from angler_mjx.sim import robot
+from angler_mjx.sim.cargo import CargoError, read_grips
 from angler_mjx.sim.detection import detect_contacts
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
@@ -38,6 +51,16 @@ class WatchedTrajectories:
     allowed: Tolerances
     before: jax.Array
     """int32 [R] result of the step before; see `joint_tolerance.evaluate_goal`."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class CargoView:
+    """Body that robots hold together; [R] leads."""
+
+    held: jax.Array
+    reading: GripReading
+    error: CargoError
 
 
 @jax.tree_util.register_dataclass
@@ -67,6 +90,8 @@ class StateView:
     """[R, J] motion of the joints, NaN of a robot without an arm; None where no robot has one."""
     joint_target: JointTarget | None = None
     """[R, J] motion that the joints were commanded in the step before."""
+    cargo: CargoView | None = None
+    """None where robots hold nothing together."""
 
     def arm_position(self, robot: int) -> Floats | None:
         """Return the positions [J] of a robot's joints, rad or m; None of one without an arm.
@@ -124,7 +149,17 @@ def view_state(
         result=result,
         joints=_view_joints(world.control.vehicle, vehicles),
         joint_target=current.carry.joints,
+        cargo=_view_cargo(world, current),
     )
+
+
+def _view_cargo(world: FleetWorld, state: WorldState) -> CargoView | None:
+    """Return the view of the body that robots of one world hold; None where they hold nothing."""
+    grips, error = state.grips, state.tally.cargo_error
+    if grips is None or error is None:
+        return None
+    reading = read_grips(grips, world.grip_sensors, state.step)
+    return CargoView(held=grips.held, reading=reading, error=error)
 
 
 def _view_joints(vehicle: VehicleParams, vehicles: VehicleState) -> JointMotion | None:
@@ -202,6 +237,19 @@ def _build_estimate(view: StateView) -> Estimate:
     return Estimate(p=view.p, q=view.q, nu=view.nu, joints=view.joints)
 
 
+def _build_cargo(facts: FleetFacts, view: StateView) -> SceneCargo | None:
+    cargo = view.cargo
+    if cargo is None or facts.cargo is None:
+        return None
+    return SceneCargo(
+        obstacle=facts.cargo,
+        held=np.asarray(cargo.held),
+        reading=cargo.reading,
+        distance_m=np.asarray(cargo.error.distance_m),
+        angle_rad=np.asarray(cargo.error.angle_rad),
+    )
+
+
 def build_observation(
     facts: FleetFacts,
     view: StateView,
@@ -240,5 +288,6 @@ def build_observation(
             kind=rows.kind,
             half_size_m=rows.size_m,
         ),
+        cargo=_build_cargo(facts, view),
         status=status,
     )

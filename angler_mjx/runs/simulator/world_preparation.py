@@ -31,6 +31,7 @@ from angler_mjx.sampling import fold_keys, uniform_rows
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.task_table import task_positions
 from angler_mjx.sim import fleet
+from angler_mjx.sim.cargo import sample_sensors
 from angler_mjx.sim.information import Information
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import FleetWorld, World, WorldFactors
@@ -56,6 +57,8 @@ BREAKDOWN_KEY = 0x4641494C
 
 ACOUSTICS_KEY = 0x52414449
 """Constant for the acoustic channel of a world, as `PLANNING_KEY`."""
+GRIP_KEY = 0x47524950
+"""Constant for the force-torque sensors of grips, as `PLANNING_KEY`."""
 TASK_KEY = 0x5441534B
 """Constant for the positions of a task, as `PLANNING_KEY`."""
 TASK_MARGIN_M = 0.3
@@ -369,6 +372,11 @@ def _prepare_world(
         routes=_build_routes(policy, environment, control, task),
         task=task,
         fails_at_s=sample_breakdowns(numbers.breakdowns, key, variant.shape[0]),
+        grip_sensors=None
+        if scenario.grip_noise is None
+        else sample_sensors(
+            scenario.grip_noise, jax.random.fold_in(key, GRIP_KEY), variant.shape[0]
+        ),
     )
 
 

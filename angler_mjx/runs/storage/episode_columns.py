@@ -524,6 +524,15 @@ EPISODE_COLUMNS: tuple[EpisodeColumn, ...] = (
         since=7,
         of_tile=partial(_cargo_error, name="angle_rad"),
     ),
+    EpisodeColumn(
+        "gripped_s",
+        _FLOAT,
+        "s",
+        "time at which the robot's gripper closed on the body; null if it never did, and where "
+        "robots hold their body from the start",
+        since=8,
+        of_state=lambda state: None if state.grips is None else state.grips.closed_s,
+    ),
 )
 """All columns, in the order of the table; new ones at the end."""
 

@@ -25,14 +25,16 @@ from angler_mjx.sim.phase import Record, run_phase
 from angler_mjx.sim.physics import mjx_engine
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.contact.candidates import Rock
-from angler_mjx.sim.physics.contact.grips import Grips
+from angler_mjx.sim.physics.contact.grips import Grips, take_hold
 from angler_mjx.sim.physics.mjx_engine import BodyInertia
 from angler_mjx.sim.physics.step import Multibody, VehicleState
 from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.posture import locate_end_effectors
 from angler_mjx.sim.record import Belief, Sample, build_sample
 from angler_mjx.sim.state import (
     EngineConstants,
     FleetWorld,
+    Outcome,
     SimSpec,
     World,
     WorldState,
@@ -187,17 +189,21 @@ def move_in_contact(
     params: ControlParams,
     command: Plan | Command | MixedCommand,
     current: Current,
-    grips: Grips | None = None,
+    grips: Grips | None,
+    number: jax.Array,
 ) -> tuple[MovedRobots, ObstacleState, Grips | None, Impacts, Record]:
     """Return robots and obstacles of one world after a control period in which they may touch.
 
-    Arguments as of `step.move_independently`, the obstacles, and the robots' grips. Contact is
+    Arguments as of `step.move_independently`, the obstacles, the robots' grips (None where they
+    hold nothing), and the number int32 [] of the step. Contact is
     solved with the inertia of ``params``, loads included.
     """
     spec, vehicles = batch.spec, robots.vehicle
     if spec.contact is None or batch.engine is None or batch.rock is None:
         raise RuntimeError("the simulation has no contact")
-    measured = None if grips is None else cargo.read_grips(grips)
+    measured = None
+    if grips is not None:
+        measured = cargo.read_grips(grips, batch.world.grip_sensors, number)
     decision, record = decide(batch, robots, estimate, params, command, current, measured)
     inputs = MoveInput(
         vehicle=vehicles,
@@ -233,6 +239,26 @@ def move_in_contact(
         broken=broken,
     )
     return result, obstacles, grips, impacts, record | record_move(batch, inputs)
+
+
+def close_grips(
+    batch: SingleWorld, robots: MovedRobots, obstacles: ObstacleState, grips: Grips | None
+) -> Grips | None:
+    """Return grips of one world after those closed that have come to the body."""
+    carried, contact = batch.spec.cargo, batch.spec.contact
+    if grips is None or carried is None or carried.approach is None:
+        return grips
+    if contact is None or contact.grip is None:
+        raise RuntimeError("the simulation has no contact")
+    vehicles, tips = robots.vehicle, None
+    if contact.grip.by_end_effector and vehicles.joints is not None:
+        params = batch.world.control.vehicle
+        tips = locate_end_effectors(params, vehicles.joints.position)
+    now = take_hold(contact.grip, vehicles.p, vehicles.q, obstacles.p, obstacles.q, tips)
+    speed_mps = cargo.find_grip_speeds(carried, vehicles, now.lever_m, obstacles)
+    running = robots.tally.outcome == Outcome.RUNNING
+    end_s = batch.t + batch.spec.control_dt_s
+    return cargo.close_grips(carried.approach, grips, now, speed_mps, running, end_s)
 
 
 def measure_cargo(
@@ -317,9 +343,10 @@ def control_step(
         obstacles, seen = run_phase(OBSTACLES, batch, state.obstacles)
     else:
         moved, obstacles, grips, impacts, record = move_in_contact(
-            batch, robots, state.obstacles, *driven, grips
+            batch, robots, state.obstacles, *driven, grips, state.step
         )
         seen = record_obstacles(state.obstacles)
+        grips = close_grips(batch, moved, obstacles, grips)
         impacts, grips, brought = measure_cargo(batch, obstacles, grips, impacts)
         finished = output.finished if brought is None else brought
     begin_s = output.last_approach_s
@@ -345,6 +372,8 @@ def control_step(
         **vars(memory),
     )
     record |= seen
+    if "grips" in spec.also and state.grips is not None:
+        record["grips"] = cargo.record_grips(state.grips)
     return after, build_sample(output.record, record)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import FOLDER_CONTEXT, format_path, parse_model, read_toml
 from angler_mjx.runs.simulator.world_preparation import check_planner
+from angler_mjx.scenario.carry_table import CarryTask
 from angler_mjx.scenario.editing import merge_tables, remove_horizon, scenario_table
 from angler_mjx.scenario.horizon_check import check_reachable
 from angler_mjx.scenario.scenario import Scenario, load_relative_scenario
@@ -152,7 +153,9 @@ def read_benchmark(path: Path, **overrides: object) -> Benchmark:
     config = parse_model(BenchmarkConfig, table, source=source, context={FOLDER_CONTEXT: folder})
     scenario = load_relative_scenario(config.scenario, folder)
     require_goal_task(
-        scenario.task, f"{path}: planners are compared by ways to one goal; leave it out"
+        scenario.task,
+        f"{path}: planners are compared by ways to one goal; leave it out",
+        also=(CarryTask,),
     )
     return build_benchmark(config, scenario, str(path))
 

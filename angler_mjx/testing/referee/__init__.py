@@ -11,6 +11,8 @@ from pathlib import Path
 from angler_mjx.errors import ConfigError
 from angler_mjx.testing.referee import bounding, judging
 from angler_mjx.testing.referee.findings import (
+    CARRY_QUANTITIES,
+    CONTACT_QUANTITIES,
     QUANTITIES,
     TASK_QUANTITIES,
     FindingCount,
@@ -21,6 +23,8 @@ from angler_mjx.testing.referee.record import RefereeRun, open_run, read_worlds
 from angler_mjx.testing.referee.scene import RefereeScene
 
 __all__ = [
+    "CARRY_QUANTITIES",
+    "CONTACT_QUANTITIES",
     "QUANTITIES",
     "TASK_QUANTITIES",
     "FindingCount",

@@ -30,7 +30,11 @@ def judge_bounded(scene: RefereeScene, robot: int) -> list[RefereeFinding]:
     # A failed robot stays at the end position of its episode: the next sample shows it.
     held = after if outcome in FAILED and world.step[after] >= step else before
     _check_numbers(collector, scene, episode, step, before, held)
-    _check_contact(collector, scene, episode, held if world.step[held] >= step else None, outcome)
+    if scene.run.has_contacts:
+        collector.touch(before)
+    else:
+        state = held if world.step[held] >= step else None
+        _check_contact(collector, scene, episode, state, outcome)
     shown = held if world.step[held] == step or held > before else None
     if outcome == "reached" or shown is not None:
         collector.set_position(outcome, world.p[held, robot])
@@ -38,6 +42,7 @@ def judge_bounded(scene: RefereeScene, robot: int) -> list[RefereeFinding]:
         collector.unchecked("failure_place_m", SPARSE)
     collector.record(int(np.searchsorted(world.step, step)))
     collector.task()
+    collector.carry(after if world.step[after] == step else before)
     return collector.findings
 
 
@@ -53,7 +58,7 @@ def _check_outcome(
             judged, note = episode.outcome(state), episode.numbers(state)
             collector.add_verdict("outcome", "bounded", stored, judged, "disagrees", note)
             return
-    if stored == "failed" and stored not in scene.unseen(step):
+    if stored in ("failed", "damaged", "dropped") and stored not in scene.unseen(step):
         collector.add_verdict(
             "outcome", "bounded", stored, "running", "disagrees", "none breaks down then"
         )
@@ -142,7 +147,7 @@ def _check_numbers(
             collector.number(name, sampled, 0.0)
             continue
         # Without contact there is no overlap; with contact several objects may overlap.
-        touches = outcome.startswith("collision") or outcome == "diverged"
+        touches = outcome.startswith("collision") or outcome == "diverged" or run.has_contacts
         high = min(sampled, 0.0) if is_hit else sampled
         collector.add_bounded(
             name, -np.inf if touches else -band, high + band, "no more than in a sample"

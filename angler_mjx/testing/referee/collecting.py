@@ -2,7 +2,10 @@
 
 import numpy as np
 
+from angler_mjx.testing.referee import carrying
 from angler_mjx.testing.referee.findings import (
+    CARGO_M,
+    CARGO_RAD,
     TASK_QUANTITIES,
     CheckMethod,
     FindingResult,
@@ -128,6 +131,85 @@ class FindingCollector:
             deviation=apart if np.isfinite(apart) else float("inf"),
             tolerance=rounding,
             note="" if agrees else note,
+        )
+
+    def touch(self, last: int) -> None:
+        """Add what contact did to a robot in a run in which it ends no episode.
+
+        Forces and energies are not in the record; what the limit of damage says of them is.
+
+        Args:
+            last: state of the robot's end.
+        """
+        scene, outcome = self._scene, self._scene.stored_outcome(self._robot)
+        limit = scene.run.damage_energy_j
+        low, high = (0.0, float("inf"))
+        if limit is not None:
+            low, high = (limit, high) if outcome == "damaged" else (low, limit)
+        self.add_bounded("impact_energy_j", low, high, "what damages a robot is above the limit")
+        deepest = 0.0
+        if scene.run.carry is None or not scene.run.carry.by_end_effector:  # they reach into it
+            nearby = scene.near_until(self._robot, last)
+            deepest = nearby.clearance_m(self._robot, last)
+            deepest = min(deepest, nearby.separation_m(self._robot, last))
+        self.add_bounded("contact_depth_m", 0.0, float("inf"), "states show no step between them")
+        pair, speed = self.row["failure_pair"], float(self.row["impact_speed_mps"])
+        touched = pair != "none"
+        if touched == (not np.isnan(speed)) and (touched or deepest > -scene.contact_band_m):
+            for name in ("failure_pair", "impact_speed_mps"):
+                self.unchecked(name, "the record holds no impacts")
+            return
+        self._add_finding("failure_pair", "bounded", "disagrees", stored=pair, judged="none")
+        self._add_finding("impact_speed_mps", "bounded", "disagrees", stored=speed, judged=None)
+
+    def carry(self, last: int) -> None:
+        """Add the pose of the held body at a robot's end, and its grip until then.
+
+        Args:
+            last: state of the robot's end, or the last one before it.
+        """
+        scene, robot = self._scene, self._robot
+        rules, run = scene.run.carry, scene.run
+        if rules is None:
+            return
+        has_end = scene.stored_step[robot] == int(scene.world.step[last])
+        for name, values, tolerance in zip(
+            ("cargo_distance_m", "cargo_angle_rad"),
+            carrying.find_error(rules, scene.cargo),
+            (max(CARGO_M, scene.contact_band_m), CARGO_RAD),
+            strict=True,
+        ):
+            if has_end:
+                self.number(name, float(values[last]), tolerance)
+            else:
+                self.unchecked(name, "what was between the samples is not known")
+        dropped = scene.stored_outcome(robot) == "dropped"
+        low, high = 0.0, float("inf")
+        if scene.world.grip_wrench is not None:
+            forces = np.linalg.norm(scene.world.grip_wrench[: last + 1, robot, :3], axis=1)
+            low = float(np.max(forces, initial=0.0)) * (1.0 - 1e-5)
+        if rules.break_force_n is not None:
+            low = max(low, rules.break_force_n) if dropped else low
+            high = high if dropped else rules.break_force_n
+        self.add_bounded("grip_force_n", low, high, "of means over control periods and the limit")
+        strongest = max(float(row["grip_force_n"]) for row in scene.rows)
+        robots = len(run.robots)
+        most = 2.0 * (robots - 1) / robots * strongest * (1.0 + 1e-5)
+        self.add_bounded("internal_force_n", 0.0, most, "what is left of forces less their mean")
+        held = slice(0, last if dropped and has_end else last + 1)
+        slip, turn = (float(np.max(part[held], initial=0.0)) for part in scene.find_slip(robot))
+        limit = carrying.WELD_M if rules.max_slip_m is None else rules.max_slip_m
+        turn_limit = carrying.WELD_RAD if rules.max_slip_m is None else float("inf")
+        stays = slip <= limit and turn <= turn_limit
+        self._add_finding(
+            "grip",
+            "exact",
+            "agrees" if stays else "disagrees",
+            stored=None,
+            judged=slip,
+            deviation=slip,
+            tolerance=limit,
+            note="" if stays else f"turned by {turn:.3g} rad in its grip",
         )
 
     def add_no_contact(self, how: CheckMethod) -> None:

@@ -42,8 +42,25 @@ TASK_QUANTITIES = {
 ``task``: whether the task data of the trajectories are possible: the robot and time of each job,
 goods that robots carry, cells that were seen and when."""
 
+CONTACT_QUANTITIES = {"impact_energy_j": "J", "contact_depth_m": "m"}
+"""Judged quantities of runs in which bodies push each other, with units."""
+
+CARRY_QUANTITIES = {
+    "cargo_distance_m": "m",
+    "cargo_angle_rad": "rad",
+    "grip_force_n": "N",
+    "internal_force_n": "N",
+    "grip": "",
+}
+"""Judged quantities of runs whose robots hold a body together, with units.
+
+``grip``: whether the body stays where each robot holds it, as long as it does."""
+
 PATH_M, ENERGY_FRACTION, CLEARANCE_M, IMPACT_MPS = 1e-2, 1e-3, 1e-5, 1e-4
 """Tolerances of exact checks. Outcomes, pairs and times have to be equal."""
+
+CARGO_M, CARGO_RAD = 1e-5, 1e-5
+"""Tolerances of the pose of a held body, of sums and square roots in float32."""
 
 ENERGY_J = 1e-2
 """Absolute tolerance of energies near zero."""

@@ -27,6 +27,10 @@ NUMBER_COLUMNS = (
 )
 TASK_NUMBER_COLUMNS = ("jobs_done", "task_progress", "task_completed_s")
 """Further number columns of runs with a task."""
+CONTACT_NUMBER_COLUMNS = ("impact_energy_j", "contact_depth_m")
+"""Further number columns of runs in which bodies push each other."""
+CARRY_NUMBER_COLUMNS = ("grip_force_n", "internal_force_n", "cargo_distance_m", "cargo_angle_rad")
+"""Further number columns of runs whose robots hold a body together."""
 TEXT_COLUMNS = ("vehicle", "parameter_set", "outcome", "failure_pair")
 """Text columns of ``episodes.parquet`` that are judged."""
 
@@ -49,18 +53,18 @@ def reporting_damage(path: Path) -> Iterator[None]:
         raise ConfigError(f"{path}: cannot be judged: {message}") from error
 
 
-def read_rows(path: Path, robots: int, *, has_task: bool = False) -> dict[int, list[Row]]:
+def read_rows(path: Path, robots: int, more: Sequence[str] = ()) -> dict[int, list[Row]]:
     """Read the results of each world, a row for each robot.
 
     Args:
         path: of ``episodes.parquet``.
         robots: number of robots of each world.
-        has_task: whether the run has a task, whose columns are read too.
+        more: number columns beside those of all runs.
 
     Raises:
         ConfigError: the file is damaged, or a world has other rows.
     """
-    numbers = NUMBER_COLUMNS + TASK_NUMBER_COLUMNS if has_task else NUMBER_COLUMNS
+    numbers = (*NUMBER_COLUMNS, *more)
     with reporting_damage(path):
         optional = [name for name in OPTIONAL_COLUMNS if name in pq.read_schema(path).names]
         table = pq.read_table(path, columns=["world", "robot", *TEXT_COLUMNS, *numbers, *optional])

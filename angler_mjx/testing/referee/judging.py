@@ -49,10 +49,14 @@ def judge_exact(scene: RefereeScene, robot: int, stored: int) -> list[RefereeFin
     tolerance = max(say.CLEARANCE_M, scene.contact_band_m)
     collector.number("min_clearance_m", nearby.clearance_m(robot, end.state), tolerance)
     collector.number("min_separation_m", nearby.separation_m(robot, end.state), tolerance)
-    _check_contact(collector, scene, episode, end)
+    if scene.run.has_contacts:
+        collector.touch(end.state)
+    else:
+        _check_contact(collector, scene, episode, end)
     collector.set_position(end.outcome, scene.world.p[end.state, robot])
     collector.record(end.state)
     collector.task()
+    collector.carry(end.state)
     return collector.findings
 
 
@@ -72,7 +76,7 @@ def _judge_end(scene: RefereeScene, episode: RefereeEpisode, stored: int) -> Jud
         note = "the state that was none is not stored; the robot was held before it"
         return JudgedEnd(outcome=outcome, state=stored, result="agrees", note=note, how="unchecked")
     if first in (None, stored) and _is_unseen_end(scene, episode, stored):
-        note = "no trajectory shows when a task is done, or when a robot breaks down"
+        note = "no trajectory shows when a task is done, or when a robot or a grip breaks"
         return JudgedEnd(outcome=outcome, state=stored, result="agrees", note=note, how="bounded")
     goes_on = all("running" in episode.possible_outcomes(k) for k in range(first or stored, stored))
     allowed = episode.possible_outcomes(stored)

@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 from zarr.types import AnyArray
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.testing.referee import teamwork, vehicles
+from angler_mjx.testing.referee import carrying, teamwork, vehicles
 from angler_mjx.testing.referee.folder import (
+    CARRY_NUMBER_COLUMNS,
+    CONTACT_NUMBER_COLUMNS,
+    TASK_NUMBER_COLUMNS,
     Row,
     read_copies,
     read_json,
@@ -35,6 +38,8 @@ OUTCOMES = (
     "timeout",
     "diverged",
     "failed",
+    "damaged",
+    "dropped",
 )
 """Outcomes by their numbers in ``trajectories.zarr``."""
 
@@ -53,6 +58,12 @@ class RefereeRun:
     """Time limits of breakdowns; None without breakdowns."""
     task: teamwork.TaskRules | None
     """Rules of the task that decides arrival; None where the distance to a goal does."""
+    carry: carrying.CarryRules | None
+    """Rules of a body that robots hold together; None where they hold nothing."""
+    has_contacts: bool
+    """Whether bodies push each other, so that no touch ends an episode."""
+    damage_energy_j: float | None
+    """Energy of an impact above which a robot is damaged; None for never."""
     by_end_effector: bool
     """Whether the distance of the end effector to the goal decides, and not that of the centre."""
     has_flown_plans: bool
@@ -74,7 +85,7 @@ class RefereeRun:
     @property
     def by_task(self) -> bool:
         """Whether a task decides arrival, and not the distance to a goal."""
-        return self.task is not None
+        return self.task is not None or self.carry is not None
 
     @property
     def has_older_rows(self) -> bool:
@@ -118,6 +129,8 @@ class RefereeWorld:
     """[T, R] goods carried by each robot, or [T - 1, R]; -1: none."""
     joints: Floats | None = None
     """[T, R, J] positions of joints, rad or m; NaN for robots without any; None if not recorded."""
+    grip_wrench: Floats | None = None
+    """[t, R, 6] of the states with a sample, measured by the grips in F; None if not recorded."""
 
     @property
     def low_m(self) -> Floats:
@@ -150,6 +163,7 @@ ENVIRONMENT_ARRAYS = (
 
 
 TASK_ARRAYS = ("task/place_m", "task/exists", "task/by", "task/done_at_s")
+GRIP_WRENCH = "grips/wrench"
 SURVEY_ARRAYS = ("task/cells", "task/seen_at_s")
 
 _STEP_KEYS = ("position_mm", "velocity_mmps", "attitude_mrad", "force_mn", "pwm_us")
@@ -197,12 +211,12 @@ def open_run(path: Path) -> RefereeRun:
         robots = tuple(robot for robot, count in fleet for _ in range(count))
         horizon_s, goal_tolerance_m = float(timing["horizon_s"]), float(config["goal_tolerance_m"])
         acoustics = config.get("acoustics", {}).get("model", "perfect")
-        if config.get("contacts"):
-            raise ConfigError(
-                f"{path}: contacts = true: the referee knows no forces of contact; verify a run "
-                "without contacts"
-            )
-        task = teamwork.read_rules(config.get("task", {}), dt, acoustics)
+        has_contacts = bool(config.get("contacts"))
+        damage_j = config.get("contact", {}).get("damage_energy_j") if has_contacts else None
+        carry = carrying.read_carry_rules(config.get("task", {}), dt)
+        if carry is not None and "obstacle_p_m" not in _group_names(path):
+            raise KeyError("obstacle_p_m")
+        task = None if carry else teamwork.read_rules(config.get("task", {}), dt, acoustics)
         planned_worlds = int(config["worlds"])
         breakdowns_s = _breakdowns_s(config.get("breakdowns", {}), horizon_s)
     variants: Sequence[StoredVariant] = ()
@@ -214,8 +228,15 @@ def open_run(path: Path) -> RefereeRun:
     with reporting_damage(path / "trajectories.zarr"):
         group = zarr.open_group(path / "trajectories.zarr", mode="r")
         whole = _require_array(group, "pwm_us").dtype.kind in "iu"
-    has_task, is_single_scene = task is not None, _is_single_scene(path / "summary.json")
-    rows = read_rows(path / "episodes.parquet", len(robots), has_task=has_task)
+    has_task = task is not None or carry is not None
+    is_single_scene = _is_single_scene(path / "summary.json")
+    more = [
+        *(TASK_NUMBER_COLUMNS if task is not None else ()),
+        *(CONTACT_NUMBER_COLUMNS if has_contacts else ()),
+        *(CARRY_NUMBER_COLUMNS if carry is not None else ()),
+        *(("gripped_s",) if carry is not None and carry.is_gripped_in_flight else ()),
+    ]
+    rows = read_rows(path / "episodes.parquet", len(robots), more)
     return RefereeRun(
         path=path,
         robots=robots,
@@ -234,9 +255,17 @@ def open_run(path: Path) -> RefereeRun:
         goal_tolerance_m=goal_tolerance_m,
         planned_worlds=planned_worlds,
         task=task,
+        carry=carry,
+        has_contacts=has_contacts,
+        damage_energy_j=None if damage_j is None else float(damage_j),
         by_end_effector=config.get("task", {}).get("reached_by") == "end_effector",
         breakdowns_s=breakdowns_s,
     )
+
+
+def _group_names(path: Path) -> set[str]:
+    """Return the names of the arrays and groups of a run's trajectories."""
+    return set(zarr.open_group(path / "trajectories.zarr", mode="r").keys())
 
 
 def _follows_plans(policy: Path) -> bool:
@@ -292,6 +321,8 @@ def _read_block(run: RefereeRun, chosen: Sequence[int]) -> Iterator[RefereeWorld
         moving = ["obstacle_p_m", "obstacle_q"] if "obstacle_p_m" in run.group else []
         moving += ["joint_position"] if "joint_position" in run.group else []
         stored = {name: read(name) for name in [*names, *moving]}
+        if GRIP_WRENCH in run.group:
+            stored[GRIP_WRENCH] = read(GRIP_WRENCH)
         ends = {}
         if "end" in run.group:
             end_names = ["step", "p_m", "q", "nu", "outcome", *moving]
@@ -362,4 +393,5 @@ def _build_world(
         target=states.get("target", nothing).astype(np.int64),
         carrying=states.get("carrying", nothing).astype(np.int64),
         joints=states["joint_position"].astype(float) if "joint_position" in states else None,
+        grip_wrench=states[GRIP_WRENCH].astype(float) if GRIP_WRENCH in states else None,
     )

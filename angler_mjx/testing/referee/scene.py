@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from angler_mjx.testing.referee import approach, contacts, teamwork
+from angler_mjx.testing.referee import approach, carrying, contacts, teamwork
 from angler_mjx.testing.referee.contacts import (
     CELL,
     FLOOR,
@@ -34,6 +34,8 @@ FAILED = (
     "out_of_bounds",
     "diverged",
     "failed",
+    "damaged",
+    "dropped",
 )
 """Outcomes that hold a robot in place."""
 
@@ -66,8 +68,13 @@ class RefereeScene:
     def to_goal_m(self) -> Floats:
         """[T, R] distance to the goal less the tolerance: arrived below zero.
 
-        For a run with a task -inf as soon as nothing is left for a robot, else inf.
+        For a run with a task -inf as soon as nothing is left for a robot, else inf. Where robots
+        hold a body it is that of the body, or its angle less the tolerance in rad.
         """
+        if self.run.carry is not None:
+            margin = carrying.find_margin(self.run.carry, self.cargo, self.run.every)
+            holds = np.arange(len(margin))[:, None] >= self.gripped
+            return np.where(holds, margin[:, None], np.inf)
         if self.run.by_task:
             finished = np.full(self.world.p.shape[1], teamwork.NEVER)
             if self.task is not None and self.shows_finish:
@@ -77,6 +84,35 @@ class RefereeScene:
         arriving_m = self._end_effectors_m() if self.run.by_end_effector else self.world.p
         gap: Floats = np.linalg.norm(arriving_m - goal, axis=2) - self.run.goal_tolerance_m
         return gap
+
+    @cached_property
+    def cargo(self) -> carrying.CargoRecord:
+        """Record of the body that the robots hold together."""
+        rules = self.run.carry
+        if rules is None:
+            raise ValueError("the robots hold nothing")
+        p, q = self.world.obstacle_p[:, rules.body], self.world.obstacle_q[:, rules.body]
+        return carrying.CargoRecord(p=p, q=q)
+
+    @cached_property
+    def gripped(self) -> Ints:
+        """[R] first state in which each robot holds the body; T if it never does."""
+        rules, states = self.run.carry, len(self.world.step)
+        if rules is None or not rules.is_gripped_in_flight:
+            return np.zeros(len(self.rows), np.int64)
+        times = np.array([float(row["gripped_s"]) for row in self.rows])
+        steps = np.where(np.isfinite(times), np.rint(times / self.run.control_dt_s), 2**31)
+        first: Ints = np.minimum(np.searchsorted(self.world.step, steps), states)
+        return first
+
+    def find_slip(self, robot: int) -> tuple[Floats, Floats]:
+        """Return how far [T] m and rad the body is from where a robot took hold of it."""
+        rules = self.run.carry
+        first = int(self.gripped[robot])
+        if rules is None or not rules.by_end_effector:
+            p, q = self.world.p[:, robot], self.world.q[:, robot]
+            return carrying.find_slip(self.cargo, p, q, first)
+        return carrying.find_slip(self.cargo, self._end_effectors_m()[:, robot], None, first)
 
     def _end_effectors_m(self) -> Floats:
         """Return the end effectors [T, R, 3] of the robots; NaN without joints or without one."""
@@ -117,6 +153,8 @@ class RefereeScene:
     def shows_finish(self) -> bool:
         """Whether the record shows the time at which a robot has nothing left to do."""
         rules, judged = self.run.task, self.task
+        if self.run.carry is not None:
+            return self.run.every == 1 or self.run.carry.hold_steps == 1
         return (
             rules is not None
             and rules.is_fully_informed
@@ -132,6 +170,9 @@ class RefereeScene:
         """
         may = np.ones(self.world.p.shape[:2], bool)
         must = may.copy()
+        if self.run.carry is not None:
+            must[:] = self.shows_finish
+            return may, must
         for robot, row in enumerate(self.rows):
             if row["passed_goal_early"] is None:  # of an older version
                 continue
@@ -207,6 +248,10 @@ class RefereeScene:
     def unseen(self, step: int) -> set[str]:
         """Return the outcomes possible after these control steps but not shown in the record."""
         outcomes = {"reached"} if self.run.by_task and not self.shows_finish else set[str]()
+        if self.run.damage_energy_j is not None:
+            outcomes.add("damaged")
+        if self.run.carry is not None and self.run.carry.can_drop:
+            outcomes.add("dropped")
         if self.run.breakdowns_s is not None:
             earliest, latest = self.run.breakdowns_s
             end_s, slack = step * self.run.control_dt_s, 1e-6 * max(1.0, latest)
@@ -291,7 +336,8 @@ class RefereeEpisode:
         goal, out = scene.to_goal_m[:, robot], scene.outside_m[:, robot]
         self._may, self._must = (of_all[:, robot] for of_all in scene.arrives)
         arrived = (goal < 0.0) & self._must
-        self._over = ~scene.sound[:, robot] | (self._min_gap_m <= 0.0) | (out > 0.0) | arrived
+        touches = (self._min_gap_m <= 0.0) & (not scene.run.has_contacts)
+        self._over = ~scene.sound[:, robot] | touches | (out > 0.0) | arrived
 
     def first(self, last: int) -> int | None:
         """Return the first state after the start, up to ``last``, that ends the episode."""
@@ -318,7 +364,7 @@ class RefereeEpisode:
         scene = self._scene
         if not scene.sound[state, self.robot]:
             return "diverged"
-        if self._min_gap_m[state] <= 0.0:
+        if self._min_gap_m[state] <= 0.0 and not scene.run.has_contacts:
             nearest = self.touched_pairs(state)
             return scene.collision(int(nearest.kind[0]), int(nearest.index[0]))
         if scene.outside_m[state, self.robot] > 0.0:
@@ -332,6 +378,7 @@ class RefereeEpisode:
         if not scene.sound[state, self.robot]:
             return {"diverged"}
         gap, band = self._min_gap_m[state], scene.contact_band_m
+        gap = np.inf if scene.run.has_contacts else gap
         if gap <= band:
             nearby = self.touched_pairs(state, 2.0 * band)
             pairs = zip(nearby.kind.tolist(), nearby.index.tolist(), strict=True)

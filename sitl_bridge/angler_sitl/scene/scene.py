@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands.whole_body import JointTarget, hold_joints
 from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.scenario.carry_table import CarryTask
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.scenario.task_table import CarryTask, require_goal_task
+from angler_mjx.scenario.task_table import require_goal_task
 from angler_mjx.sim.fleet import count_joints
 from angler_mjx.sim.phase import Record
 from angler_mjx.sim.state import FleetWorld, Outcome, World, WorldState
@@ -97,6 +98,11 @@ class AutopilotScene:
             'type = "goal" or "carry"',
             also=(CarryTask,),
         )
+        if isinstance(scenario.task, CarryTask) and scenario.task.approach is not None:
+            raise ConfigError(
+                "task.approach: grippers that close in flight are not flown beside autopilots; "
+                "leave it out, or fly it with angler rollout"
+            )
         refuse_acoustics(
             scenario.acoustics,
             'autopilots hear nothing of each other; take "perfect", or fly it with angler rollout',

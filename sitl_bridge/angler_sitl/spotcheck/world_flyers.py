@@ -12,9 +12,9 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.stages import CONTROLLERS
 from angler_mjx.runs.session import online_policy
 from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.scenario.carry_table import CarryTask
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.tables import ControllerConfig
-from angler_mjx.scenario.task_table import CarryTask
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, World
 from angler_sitl.firmware.parameters import PositionSource

@@ -132,7 +132,7 @@ def _run_controllers(
             command,
             estimate.flow if stack.wants_flow(spec.stages) else None,
             joints,
-            None if grips is None else read_grips(grips),
+            None if grips is None else read_grips(grips, world.grip_sensors, step),
         )
         begin_s = jax.vmap(partial(mixed.last_approach_s, tolerance_m=spec.goal_tolerance_m))(
             command, world.environment.goal_m

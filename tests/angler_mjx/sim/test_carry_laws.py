@@ -96,7 +96,6 @@ def test_a_measured_force_holds_the_pipe_level_in_a_current_that_no_controller_k
             worlds=1,
             tile=1,
             time={"horizon_s": 45.0, "record_hz": 1.0, "physics_dt_s": 0.01},
-            controller={"stages": ["follow", "pose", "velocity", "grip_moment", "pseudo_inverse"]},
             world={"currents": [{"type": "uniform", "velocity_mps": [0.5, 0.0, 0.0]}]},
         )
     )

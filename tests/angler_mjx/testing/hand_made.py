@@ -19,6 +19,8 @@ OUTCOMES = {
     "timeout": 6,
     "diverged": 7,
     "failed": 8,
+    "damaged": 9,
+    "dropped": 10,
 }
 EDGE_M = 1.5
 CELLS = (8, 8, 8)
@@ -59,6 +61,10 @@ class Flight:
     balls: tuple = ()
     obstacle_p: np.ndarray | None = None
     """[T + 1, O, 3]; from the balls' velocities if left out."""
+    obstacle_q: np.ndarray | None = None
+    """[T + 1, O, 4]; level if left out."""
+    config: dict = field(default_factory=dict)
+    """Further tables of the config."""
     fleet: tuple = field(default=({"vehicle": "bluerov2_heavy"},))
     """Entries of the config, one a robot; the last one for all that follow."""
     task: dict = field(default_factory=dict)
@@ -128,6 +134,7 @@ def write(path, flight: Flight, *, every=1, with_end=True, whole_us=False, world
     config = {"time": timing, "fleet": fleet, "goal_tolerance_m": 0.3, "worlds": count}
     if flight.task:
         config["task"] = flight.task
+    config |= flight.config
     path.mkdir()
     (path / "config.json").write_text(json.dumps(config))
     (path / "summary.json").write_text(json.dumps({"worlds_done": count, "tile": 2}))
@@ -143,6 +150,8 @@ def write(path, flight: Flight, *, every=1, with_end=True, whole_us=False, world
 
     balls = flight.positions()
     turned = np.broadcast_to([1.0, 0.0, 0.0, 0.0], (*balls.shape[:2], 4))
+    if flight.obstacle_q is not None:
+        turned = flight.obstacle_q
     sampled = {"p_m": flight.p, "q": flight.q, "nu": flight.nu}
     if flight.balls:
         sampled |= {"obstacle_p_m": balls, "obstacle_q": turned}

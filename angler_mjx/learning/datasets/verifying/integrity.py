@@ -13,6 +13,12 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets import checksums, index
 from angler_mjx.learning.datasets.manifest import SPLITS, Manifest
 from angler_mjx.learning.datasets.stored import StoredArray
+from angler_mjx.learning.datasets.verifying.carrying import (
+    END_ARRAYS,
+    GRIP_ARRAYS,
+    POSE_ARRAYS,
+    GripCheck,
+)
 from angler_mjx.learning.datasets.verifying.joints import (
     JointBounds,
     find_bounds,
@@ -224,13 +230,22 @@ def _check_task(root: Path, step: float, task: _Task) -> _CheckedWorlds:
     try:
         part = root / path / folder.TRAJECTORIES
         has_joints = (part / _JOINT_ARRAYS[0]).is_dir()
-        names = (*_CHECKED_ARRAYS, *(_JOINT_ARRAYS if has_joints else ()))
+        grips = GripCheck.of(Run(root / path)) if (part / GRIP_ARRAYS[0]).is_dir() else None
+        names = (
+            *_CHECKED_ARRAYS,
+            *(_JOINT_ARRAYS if has_joints else ()),
+            *((*GRIP_ARRAYS, *POSE_ARRAYS) if grips is not None else ()),
+        )
         stored = {name: StoredArray(part / name) for name in names}
+        ends = {name: StoredArray(part / name) for name in END_ARRAYS if grips is not None}
         joints = _JointCheck.of(Run(root / path), stored) if has_joints else None
         for first in worlds[::WORLDS_PER_FINDING]:
             last = min(first + WORLDS_PER_FINDING, worlds.stop)
             arrays = {name: array.read_worlds(first, last) for name, array in stored.items()}
-            checked.faults += _find_faults(first, arrays, step, joints)
+            checked.faults += _find_faults(first, arrays, step, joints, grips)
+            if grips is not None:
+                last_states = {name: array.read_worlds(first, last) for name, array in ends.items()}
+                checked.faults += _find_wrong_errors(grips, first, arrays, last_states)
             checked.worlds += last - first
             checked.samples += arrays["p_m"].size // 3
     except ConfigError as error:
@@ -262,7 +277,11 @@ class _JointCheck:
 
 
 def _find_faults(
-    first: int, arrays: Mapping[str, np.ndarray], step: float, joints: _JointCheck | None
+    first: int,
+    arrays: Mapping[str, np.ndarray],
+    step: float,
+    joints: _JointCheck | None,
+    grips: GripCheck | None,
 ) -> Iterator[tuple[str, str]]:
     """Yield the faults of some worlds: [w, t, r, ...]; see `_check_task`."""
     outcome = arrays["outcome"].astype(int)
@@ -287,6 +306,8 @@ def _find_faults(
     }
     if joints is not None:
         faults |= joints.find_faults(arrays, running)
+    if grips is not None:
+        faults |= grips.find_faults(arrays, running)
     changed = np.diff(outcome, axis=1)
     faults["outcome"][:, 1:] |= (changed != 0) & (outcome[:, :-1] != 0)
     for name, fault in faults.items():
@@ -297,4 +318,23 @@ def _find_faults(
                 name,
                 f"world {first + world}, sample {time}, robot {robot}: {value} cannot be "
                 f"({int(fault.sum())} such samples)",
+            )
+
+
+def _find_wrong_errors(
+    grips: GripCheck,
+    first: int,
+    arrays: Mapping[str, np.ndarray],
+    ends: Mapping[str, np.ndarray],
+) -> Iterator[tuple[str, str]]:
+    """Yield the columns that differ from the last state of a held body; see `_check_task`."""
+    start_q = arrays["obstacle_q"][:, 0, grips.cargo.body]
+    for name, wrong in grips.find_wrong_errors(first, start_q, ends).items():
+        if wrong.any():
+            world, robot = np.argwhere(wrong)[0]
+            value = grips.columns[name][first + world, robot]
+            yield (
+                f"../{folder.EPISODES}, {name}",
+                f"world {first + world}, robot {robot}: {value:g} is not that of the body's last "
+                f"state ({int(wrong.sum())} such robots)",
             )

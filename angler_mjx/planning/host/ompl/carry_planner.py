@@ -72,6 +72,11 @@ class OmplCarry:
         """
         if problem.cargo is None:
             raise ConfigError('planner carry_ompl: plans the task "carry" alone')
+        if problem.cargo.grip_m is not None:
+            raise ConfigError(
+                "planner carry_ompl: knows no task.approach; take the planner carry, or robots "
+                "that hold the body from the start"
+            )
         limit_s = min(self._settings.time_limit_s or problem.deadline_s, problem.deadline_s)
         paths: list[Path | NoPlan]
         paths, self.extras = self._carry.plan_on_grasp(problem, self._settings.planner, limit_s)

@@ -60,6 +60,8 @@ class Grips:
     the last control period, as a force-torque sensor in the wrist gives it; 0 at the start."""
     at_goal_s: jax.Array
     """[R] time for which the body has been at its goal."""
+    closed_s: jax.Array | None = None
+    """[R] when each gripper closed, inf before; None where robots hold the body from the start."""
 
 
 @jax.tree_util.register_dataclass

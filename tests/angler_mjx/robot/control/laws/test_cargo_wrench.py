@@ -51,7 +51,8 @@ def test_a_current_from_ahead_pitches_the_robot_that_does_not_bear_it():
 
 
 def test_the_task_fills_in_what_the_file_leaves_out():
-    scenario = load_scenario("carry_pipe")
+    stages = ["follow", "pose", "velocity", "cargo_wrench", "pseudo_inverse"]
+    scenario = load_scenario("carry_pipe", controller={"stages": stages})
     spec = scenario.sim_spec()
     (gains,) = [g for g in spec.gains if isinstance(g, CargoWrenchGains)]
     load = scenario.cargo_load()
@@ -60,7 +61,6 @@ def test_the_task_fills_in_what_the_file_leaves_out():
     np.testing.assert_allclose(gains.weight_n, (21.0 - 1000.0 * volume) / 2 * 9.81, rtol=1e-3)
     drag = [gains.drag_x_n, gains.drag_y_n, gains.drag_z_n]
     np.testing.assert_allclose(drag, 500.0 * np.array(load.drag_area_m2), rtol=1e-6)
-    stages = ["follow", "pose", "velocity", "cargo_wrench", "pseudo_inverse"]
     stated = load_scenario(
         "carry_pipe",
         controller={"stages": stages, "gains": {"cargo_wrench": {"depth_m": 0.0}}},
