@@ -28,6 +28,10 @@ SPIRAL_LEVELS = (1.0, 0.6, 0.3, 0.1, 0.0, -0.1, -0.3, -0.6, -1.0)
 """Steering of the spiral, as fractions of the steering of the turning circle."""
 DECAY_DEG = 10.0
 MIN_BUOYANCY_ARM_M = 1e-6
+MAX_TILT_DEG = 60.0
+"""Angle between the vehicle's vertical and the world's above which a vehicle tumbles: the measures
+of a trial are those of a level vehicle."""
+_PLANAR = "held: the vehicle is planar"
 _SPEEDS: tuple[tuple[str, Axis, int], ...] = (
     ("surge ahead", "surge", 1),
     ("surge astern", "surge", -1),
@@ -83,6 +87,11 @@ class _Trial:
     program: TrialProgram
     measure: Callable[[TrialMotion], list[Measure]]
 
+    @property
+    def label(self) -> str:
+        """Name in the table: the runs of the spiral are one trial."""
+        return "spiral" if self.name.startswith("spiral") else self.name
+
 
 def check_vehicle(
     config: VehicleConfig,
@@ -126,13 +135,15 @@ def check_vehicle(
         water=water,
     )
     found: list[Measure] = []
+    by_name: dict[str, TrialMotion] = {}
     for trial, motion in zip(trials, motions, strict=True):
-        if not np.all(np.isfinite(motion.nu)):
-            left_out[trial.name] = "the motion diverges"
-            continue
-        found += trial.measure(motion)
-    by_name = {trial.name: motion for trial, motion in zip(trials, motions, strict=True)}
-    spiral = _collect_spiral(by_name)
+        fault = _find_fault(trial, motion)
+        if fault is None:
+            found += trial.measure(motion)
+            by_name[trial.name] = motion
+        else:
+            left_out.setdefault(trial.label, fault)
+    spiral = np.empty((0, 3)) if "spiral" in left_out else _collect_spiral(by_name)
     return VehicleCheck(
         vehicle=config.name,
         parameter_set=config.default_set if parameter_set is None else parameter_set,
@@ -142,6 +153,18 @@ def check_vehicle(
         execute_index=round(approach_s / SAMPLE_S),
         spiral=spiral,
     )
+
+
+def _find_fault(trial: _Trial, motion: TrialMotion) -> str | None:
+    """Return why a motion has no measures; None if it has."""
+    if not np.all(np.isfinite(motion.nu)):
+        return "the motion diverges"
+    over = np.flatnonzero(motion.tilt_rad > math.radians(MAX_TILT_DEG))
+    if not over.size:
+        return None
+    speed = float(np.max(np.linalg.norm(motion.nu[: over[0] + 1, :3], axis=1)))
+    reason = f"tumbles: tilts by more than {MAX_TILT_DEG:g} deg after reaching {speed:.2f} m/s"
+    return f"{reason}; give a smaller --approach" if trial.program.execute_s > 0 else reason
 
 
 def _list_trials(
@@ -157,6 +180,9 @@ def _list_trials(
     still = np.zeros(actuators.effect.shape[1])
     for name, axis, sign in _SPEEDS:
         command = actuators.push(axis, sign)
+        if config.planar and axis == "heave":
+            left_out[name] = _PLANAR
+            continue
         if command is None:
             left_out[name] = f"no actuator pushes in {axis} alone"
             continue
@@ -193,7 +219,9 @@ def _list_trials(
             )
     arm = config.find_set(parameter_set).buoyancy.center_of_buoyancy_m[2]
     for angle in ("roll", "pitch"):
-        if arm < MIN_BUOYANCY_ARM_M:
+        if config.planar:
+            left_out[f"{angle} decay"] = _PLANAR
+        elif arm < MIN_BUOYANCY_ARM_M:
             left_out[f"{angle} decay"] = "nothing rights it"
         else:
             trials.append(_decay_trial(angle, still))
