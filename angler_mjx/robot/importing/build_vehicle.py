@@ -34,6 +34,7 @@ from angler_mjx.robot.importing.numbers import (
     to_name,
 )
 from angler_mjx.robot.importing.rigid_groups import Group, find_thrusters, join_bodies, shapes_of
+from angler_mjx.robot.vehicles.properties import compute_trim_rad
 from angler_mjx.robot.vehicles.thruster_config import ThrusterTable
 from angler_mjx.robot.vehicles.thrusters import tables_at
 
@@ -47,6 +48,8 @@ this fraction."""
 _VOLTAGE_V = 16.0
 _STALL_RAD = 0.3
 _LAG_S = 0.02
+_MAX_TRIM_RAD = math.radians(5)
+"""Roll or pitch at rest above which the list says so."""
 _AXES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 
 
@@ -91,6 +94,7 @@ def build_vehicle(
     if vehicle.size_m is not None:
         size_m = np.array(vehicle.size_m)
     volume, center = _find_buoyancy(vehicle, base, shapes, water_density, notes)
+    _note_trim(center - base.center_of_mass_m, notes)
     trim_volume = volume
     arm = build_arm(vehicle, groups, notes)
     trim_volume += sum(link["buoyancy"]["volume_m3"] for link in arm.get("links", []))
@@ -576,6 +580,18 @@ def _snap_direction(direction: np.ndarray, mount: ThrusterMount, notes: Notes) -
             mount.element.location,
         )
     return round_vector(np.where(np.abs(snapped) < 1e-12, 0.0, snapped), 16)
+
+
+def _note_trim(center_of_buoyancy_m: np.ndarray, notes: Notes) -> None:
+    trim_rad = compute_trim_rad(center_of_buoyancy_m)
+    if trim_rad is not None and max(np.abs(trim_rad)) > _MAX_TRIM_RAD:
+        roll, pitch = np.degrees(trim_rad)
+        notes.add(
+            "assumed",
+            f"the vehicle rests with a roll of {roll:.0f} and a pitch of {pitch:.0f} degrees: its "
+            f"centre of buoyancy is {_text(center_of_buoyancy_m)} m from the centre of mass; if it "
+            "floats level, correct masses or volumes",
+        )
 
 
 def _note_thrust(vehicle: ForeignVehicle, thruster: ThrusterTable, notes: Notes) -> None:

@@ -16,6 +16,8 @@ FRESH_WATER_KGPM3 = 1000.0
 """Density of fresh water, in which the published sets were identified; weight and buoyancy are
 compared in it."""
 
+_NO_ARM_M = 1e-6
+
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleProperties:
@@ -35,6 +37,9 @@ class VehicleProperties:
     roll_period_s: float | None
     """Undamped period in roll; None without a righting moment."""
     pitch_period_s: float | None
+    trim_rad: tuple[float, float] | None
+    """Roll and pitch at rest, links left out; None without an arm of buoyancy, and of planar
+    vehicles."""
     rotor_time_constant_s: float
     damping_gain_w: float | None
     """Largest power that damping between axes gives the vehicle in still water, see
@@ -73,9 +78,30 @@ def describe_vehicle(
         ),
         roll_period_s=_period_s(chosen, 0),
         pitch_period_s=_period_s(chosen, 1),
+        trim_rad=None
+        if config.planar
+        else compute_trim_rad(np.asarray(chosen.buoyancy.center_of_buoyancy_m)),
         rotor_time_constant_s=config.rotor.lag.time_constant_s,
         damping_gain_w=largest_gain_w(chosen.damping) if chosen.damping.couples_axes else None,
     )
+
+
+def compute_trim_rad(center_of_buoyancy_m: FloatArray) -> tuple[float, float] | None:
+    """Return roll and pitch at which the centre of buoyancy is above the centre of mass.
+
+    The world's up in F is then e = (-sin pitch, sin roll cos pitch, cos roll cos pitch).
+
+    Args:
+        center_of_buoyancy_m: [3] from the centre of mass, in F.
+
+    Returns:
+        rad; None where the centres coincide.
+    """
+    arm = float(np.linalg.norm(center_of_buoyancy_m))
+    if arm < _NO_ARM_M:
+        return None
+    x, y, z = center_of_buoyancy_m / arm
+    return math.atan2(y, z), -math.asin(x)
 
 
 def _buoyancy_n(chosen: ParameterSet) -> float:

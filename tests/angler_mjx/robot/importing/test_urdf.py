@@ -57,6 +57,38 @@ def test_a_massless_root_may_carry_the_water(bring):
     assert made.noted("assumed", "damping acts at the centre of mass")
 
 
+def test_a_vehicle_that_rests_tilted_is_listed(bring):
+    """6 kg 0.1 m ahead of a neutral box of 12 kg hang its nose down."""
+    weight = """
+      <link name="camera"><inertial><mass value="6"/></inertial></link>
+      <joint name="mount" type="fixed"><parent link="base_link"/><child link="camera"/>
+        <origin xyz="0.1 0 -0.1"/></joint>"""
+    made = bring(robot(weight))
+    ahead, below = 0.1 * 6 / 18, 0.1 * 6 / 18  # of the centre of mass, from that of the box
+    pitch = np.degrees(np.arctan2(ahead, below))
+    assert made.noted("assumed", f"a roll of 0 and a pitch of {pitch:.0f} degrees")
+    assert not bring(robot(weight.replace("0.1 0 -0.1", "0 0 -0.1"))).noted("assumed", "a roll of")
+
+
+def test_visuals_have_the_colours_of_their_materials(bring):
+    shape = "<visual><geometry><sphere radius='0.1'/></geometry>{}</visual>"
+    texts = (
+        "<material name='red'><color rgba='1 0 0 1'/></material>",
+        "<material name='red'/>",
+        "<material name='blue'/>",
+        "",
+    )
+    link = f"<link name='balls'>{''.join(shape.format(text) for text in texts)}</link>"
+    joint = (
+        """<joint name="fix" type="fixed"><parent link="base_link"/><child link="balls"/></joint>"""
+    )
+    blue = '<material name="blue"><color rgba="0 0 1 0.5"/></material>'
+    made = bring(robot(link, joint, blue))
+    colors = [tuple(shape["rgba"]) for shape in made.table["visual"]["shapes"]]
+    assert colors == [(1, 0, 0, 1), (1, 0, 0, 1), (0, 0, 1, 0.5), (0.5, 0.55, 0.6, 1)]
+    assert not made.noted("dropped", "material")
+
+
 def test_derivatives_of_gazebo_become_positive(bring):
     made = bring(robot(hydrodynamics(**FULL)))
     assert made.numbers["added_mass"]["coefficients"] == [5, 9, 13, 0.1, 0.2, 0.3]

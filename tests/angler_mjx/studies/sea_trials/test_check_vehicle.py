@@ -396,6 +396,19 @@ def test_a_vehicle_tumbles_above_the_speed_at_which_munk_moment_passes_righting(
         assert 0.5 * limit < value(result, "coasting stop", "approach speed") < limit
 
 
+def test_a_held_vehicle_does_not_tumble(tmp_path):
+    """At a speed at which it would: the drag balance is that of surge alone."""
+    added = (ADDED, ADDED, 80.0, ADDED_X, 0.1, ADDED_Z)
+    config = build(tmp_path, added=added, arm=0.002, volume=1.002 * M / 1000.0)
+    only = ["surge ahead", "roll"]
+    assert "surge ahead" in check_vehicle(config, only=only).left_out
+    held = check_vehicle(config, settings=TrialSettings(level=True), only=only)
+    assert held.left_out == {"roll decay": "held by --level"}
+    reverse, forward = thrust_limits(config)
+    expected = balance(2 * R * (forward - reverse), LINEAR[0], QUADRATIC[0])
+    assert value(held, "surge ahead", "terminal speed") == pytest.approx(expected, rel=2e-3)
+
+
 def test_the_spiral_is_one_trial_that_is_left_out_whole(tmp_path):
     added = (ADDED, ADDED, 80.0, ADDED_X, 0.1, ADDED_Z)
     config = build(tmp_path, added=added, arm=0.002, volume=1.002 * M / 1000.0)
