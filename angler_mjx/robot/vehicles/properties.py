@@ -8,8 +8,8 @@ import numpy as np
 from angler_mjx.robot.vehicles.config import ParameterSet, VehicleConfig
 from angler_mjx.robot.vehicles.damping import largest_gain_w
 from angler_mjx.robot.vehicles.drive import compute_drive, wrench_matrix
-from angler_mjx.robot.vehicles.library import load_thruster
-from angler_mjx.robot.vehicles.thrusters import FloatArray, tables_at
+from angler_mjx.robot.vehicles.thrust_curves import build_thrust_tables, thrust_ends
+from angler_mjx.robot.vehicles.thrusters import FloatArray
 
 GRAVITY_MPS2 = 9.81
 FRESH_WATER_KGPM3 = 1000.0
@@ -55,11 +55,11 @@ def describe_vehicle(
         ConfigError: unknown set or thruster, or a voltage outside the thruster's data.
     """
     chosen = config.find_set(parameter_set)
-    thrust_n, _ = tables_at(load_thruster(config.rotor.model), voltage_v)
+    thrust_n, _ = build_thrust_tables(config, voltage_v)
     B = wrench_matrix(config)
     linear = np.asarray(chosen.damping.linear_diagonal[:3])
     quadratic = np.asarray(chosen.damping.quadratic_diagonal[:3])
-    speed = compute_drive(B, thrust_n[0], thrust_n[-1], linear, quadratic).terminal_speed_mps
+    speed = compute_drive(B, *thrust_ends(thrust_n), linear, quadratic).terminal_speed_mps
     slope = linear + 2 * quadratic * speed
     M_A = np.asarray(chosen.added_mass.coefficients)
     links = config.find_links(parameter_set)
