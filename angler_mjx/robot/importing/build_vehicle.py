@@ -34,9 +34,9 @@ from angler_mjx.robot.importing.numbers import (
     to_name,
 )
 from angler_mjx.robot.importing.rigid_groups import Group, find_thrusters, join_bodies, shapes_of
+from angler_mjx.robot.importing.thrust_curves import curve_table, limit_thrust
 from angler_mjx.robot.vehicles.properties import compute_trim_rad
 from angler_mjx.robot.vehicles.thruster_config import ThrusterTable
-from angler_mjx.robot.vehicles.thrusters import tables_at
 
 DEFAULT_DENSITY_KGPM3 = 1000.0
 SNAP_STEP_RAD, SNAP_TOLERANCE_RAD = math.radians(15), 1.5e-3
@@ -460,6 +460,9 @@ def _build_thrusters(
                 f"thruster {format_value(mount.name)} is on link {format_value(mount.body)}, which "
                 "a joint moves; only thrusters that are fixed to the vehicle are read"
             )
+        curve = mount.curve_n
+        if curve is None:
+            curve = limit_thrust(mount, thruster, _VOLTAGE_V, notes)
         name = to_name(re.sub(r"_?joint$", "", mount.name.rpartition("/")[2]))
         if name in names.values():
             name = to_name(mount.name)
@@ -471,6 +474,7 @@ def _build_thrusters(
                 "direction": _snap_direction(pose[:3, :3] @ mount.direction, mount, notes),
                 "spin": mount.spin or 1,
                 **({"time_constant_s": mount.lag_s} if differ and mount.lag_s else {}),
+                **({} if curve is None else {"curve": curve_table(curve)}),
             }
         )
         if mount.spin is None:
@@ -487,7 +491,6 @@ def _build_thrusters(
                 f"{before} -> {after}" for before, after in names.items() if before != after
             ),
         )
-    _note_thrust(vehicle, thruster, notes)
     return {
         "layout": layout,
         "source": f"{vehicle.location.file.name}: poses of the thrusters' links and axes of their "
@@ -592,21 +595,6 @@ def _note_trim(center_of_buoyancy_m: np.ndarray, notes: Notes) -> None:
             f"centre of buoyancy is {_text(center_of_buoyancy_m)} m from the centre of mass; if it "
             "floats level, correct masses or volumes",
         )
-
-
-def _note_thrust(vehicle: ForeignVehicle, thruster: ThrusterTable, notes: Notes) -> None:
-    thrust_n, _ = tables_at(
-        thruster, min(max(_VOLTAGE_V, thruster.voltage_v[0]), thruster.voltage_v[-1])
-    )
-    for mount in vehicle.thrusters:
-        limits = [x for x in (mount.min_thrust_n, mount.max_thrust_n) if x is not None]
-        if limits:
-            notes.add(
-                "dropped",
-                f"limits of thrust {', '.join(f'{x:g} N' for x in limits)}: "
-                f"thruster {thruster.name} gives {thrust_n[0]:.1f} to {thrust_n[-1]:.1f} N",
-                mount.element.location,
-            )
 
 
 def _build_rotor(vehicle: ForeignVehicle, model: str, notes: Notes) -> dict[str, Any]:

@@ -117,6 +117,8 @@ class ThrusterMount:
     lag_s: float | None = None
     max_thrust_n: float | None = None
     min_thrust_n: float | None = None
+    curve_n: np.ndarray | None = None
+    """[n] thrust at `thrust_curves.CURVE_PWM_US`; None: the thruster file has it."""
     joint: str | None = None
 
 

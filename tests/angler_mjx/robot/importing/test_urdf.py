@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.robot.vehicles.library import load_thruster
+from angler_mjx.robot.vehicles.thrusters import PWM_GRID_US, tables_at
 
 from .written import hydrodynamics, line_of, robot, thruster
 
@@ -160,6 +162,13 @@ def test_thrusters_of_plugins_have_spin_and_limits(bring):
     assert row["spin"] == -1
     assert made.noted("dropped", "900 N", "t200")
     assert made.noted("dropped", "thruster_2_joint", "no plugin")
+    limits = "<max_thrust_cmd>20</max_thrust_cmd><min_thrust_cmd>-6</min_thrust_cmd>"
+    cut = bring(robot(plugin.replace("<max_thrust_cmd>900</max_thrust_cmd>", limits)))
+    (row,) = cut.table["thrusters"]["layout"]
+    thrust_n, _ = tables_at(load_thruster("t200"), 16.0)
+    expected = np.clip(np.interp(row["curve"]["pwm_us"], PWM_GRID_US, thrust_n), -6.0, 20.0)
+    assert row["curve"]["thrust_n"] == pytest.approx(expected, abs=1e-4)
+    assert cut.noted("converted", "-6 N, 20 N")
 
 
 def test_unknown_elements_and_attributes_are_listed_with_their_lines(bring):
