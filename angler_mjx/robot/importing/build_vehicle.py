@@ -263,6 +263,7 @@ def _build_water(
     """Return the tables added_mass and damping."""
     added, linear, quadratic = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros((6, 6))
     locations = dict[str, list[Location]](added=[], damping=[])
+    products = dict[str, float]()
     for water in vehicle.hydrodynamics:
         pose = base.poses.get(water.body)
         if pose is None:
@@ -294,6 +295,8 @@ def _build_water(
                 continue
             locations["damping"].append(where)
             total += turn @ _coupled_damping(matrix, name, turn, water, notes) @ turn.T
+        for name, value in _unturned_products(water, pose, notes).items():
+            products[name] = products.get(name, 0.0) + value
         if np.linalg.norm(arm) > 1e-9:
             notes.add(
                 "assumed",
@@ -310,8 +313,22 @@ def _build_water(
             )
     return {
         "added_mass": _build_added_mass(added, locations["added"], size_m, volume, density, notes),
-        "damping": _build_damping(linear, quadratic, locations["damping"], size_m, density, notes),
+        "damping": _build_damping(linear, quadratic, locations["damping"], size_m, density, notes)
+        | ({"products": products} if products else {}),
     }
+
+
+def _unturned_products(water: Hydrodynamics, pose: np.ndarray, notes: Notes) -> dict[str, float]:
+    """Return the derivatives by products of velocities; none of a link whose axes are turned."""
+    if not water.products or np.allclose(pose[:3, :3], np.eye(3), atol=1e-6):
+        return water.products
+    listed = ", ".join(f"{name} = {value:g}" for name, value in water.products.items())
+    notes.add(
+        "dropped",
+        f"products of velocities of {water.body} ({listed}): the axes of its link are turned",
+        water.element.location,
+    )
+    return {}
 
 
 def _coupled_damping(

@@ -122,13 +122,8 @@ def _set_entry(
     water: Hydrodynamics, table: str, row: str, column: str, child: Element, notes: Notes
 ) -> None:
     i, j, value = _ROWS.index(row), _COLUMNS.index(column), -child.number()
-    if i != j and value != 0 and table != "added_mass":
-        notes.add(
-            "dropped",
-            f"<{child.tag}> = {-value:g}: vehicle files hold no cross damping",
-            child.location,
-        )
-        return
+    if i != j and table != "added_mass":
+        water.names[table, i, j] = f"<{child.tag}>"
     if i == j and value < 0:
         notes.add(
             "assumed",
@@ -147,12 +142,19 @@ def _read_quadratic(
     value = child.number()
     if value == 0:
         return
-    if not first == second == _COLUMNS[_ROWS.index(row)]:
+    is_diagonal = first == second == _COLUMNS[_ROWS.index(row)]
+    if absolute and first != second:
         notes.add(
             "dropped",
-            f"<{child.tag}> = {value:g}: vehicle files hold no cross damping",
+            f"<{child.tag}> = {value:g}: vehicle files hold |v| v of one velocity and products of "
+            "two, and no velocity times the size of another",
             child.location,
         )
+        return
+    if not absolute and not is_diagonal:
+        pair = "".join(sorted((first, second), key=_COLUMNS.index)).lower()
+        name = f"{row.upper()}_{pair}"
+        water.products[name] = water.products.get(name, 0.0) + value
         return
     if not absolute:
         notes.add(
@@ -491,7 +493,7 @@ def _add_hydrodynamics(water: Hydrodynamics, vehicle: ForeignVehicle, notes: Not
                 (getattr(other, key), getattr(water, key))
                 for key in ("added_mass", "linear", "quadratic")
             )
-            if any(not np.array_equal(a, b) for a, b in pairs):
+            if other.products != water.products or any(not np.array_equal(a, b) for a, b in pairs):
                 water.element.fail(
                     f"contradicts the hydrodynamics of {format_value(water.body)} at "
                     f"{other.element.location}; remove one of them"

@@ -61,9 +61,10 @@ def test_bodies_and_thrusters(seal):
     assert second["direction"] == pytest.approx([1, 0, 0], abs=1e-9)
     assert made.table["rotor"]["lag"]["time_constant_s"] == 0.08
     assert made.noted("converted", "-10 N, 20 N")
-    limited = [row["curve"]["thrust_n"] for row in (first, second) if "curve" in row]
-    assert [(min(row), max(row)) for row in limited] == [(-10.0, 20.0)]
-    assert made.noted("dropped", "-20 N, 40 N")
+    # The control of -10 to 20 times the gear, 1 of the first and 2 of the second.
+    limited = [row["curve"]["thrust_n"] for row in (first, second)]
+    assert [(min(row), max(row)) for row in limited] == [(-10.0, 20.0), (-20.0, 40.0)]
+    assert made.noted("converted", "-20 N, 40 N")
     assert made.noted("dropped", "reaction torque")
 
 

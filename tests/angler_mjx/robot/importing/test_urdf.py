@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.robot.vehicles.library import load_thruster
+from angler_mjx.robot.importing.import_vehicle import import_vehicle
+from angler_mjx.robot.vehicles.damping import damping_wrench
+from angler_mjx.robot.vehicles.library import load_thruster, load_vehicle
+from angler_mjx.robot.vehicles.params import build_vehicle
 from angler_mjx.robot.vehicles.thrusters import PWM_GRID_US, tables_at
 
 from .written import hydrodynamics, line_of, robot, thruster
@@ -100,16 +103,56 @@ def test_derivatives_of_gazebo_become_positive(bring):
 
 
 def test_cross_terms_and_signs_are_listed_by_name(bring):
-    text = robot(hydrodynamics(**FULL, xVabsV=-3, yR=-2, xDotQ=-0.1, mDotU=-0.1, zWW=-2))
+    text = robot(hydrodynamics(**FULL, xVabsU=-3, yR=-2, xDotQ=-0.1, mDotU=-0.1, zWW=-2))
     text = text.replace("<xU>-4<", "<xU>4<")
     made = bring(text)
-    assert made.noted("dropped", "<xVabsV> = -3", f"rov.urdf:{line_of(text, '<xVabsV>')}")
-    assert made.noted("dropped", "<yR> = -2")
+    assert made.noted("dropped", "<xVabsU> = -3", f"rov.urdf:{line_of(text, '<xVabsU>')}")
+    # Its symmetric part with yV = -6 and nR = -0.1 is not definite.
+    assert made.noted("dropped", "linear damping <yR>", "still water would drive")
     assert made.noted("assumed", "<xU> = 4 is positive")
     assert made.noted("converted", "<zWW> = -2 has no absolute value")
     assert made.numbers["damping"]["linear"][0] == 4
     assert made.numbers["damping"]["quadratic"][2] == 82
     assert made.numbers["added_mass"]["coefficients"][0][4] == 0.1
+
+
+MIXED = {
+    "xV": -0.5,
+    "nV": 0.3,
+    "xVabsV": -3,
+    "nVabsV": 2,
+    "yUV": -7,
+    "yVU": -2,
+    "mUW": 4,
+    "zQQ": 1.5,
+}
+
+
+def test_cross_terms_of_gazebo_make_the_same_force(bring, tmp_path):
+    """Force i is the sum of lin_ij v_j, abs_ijk v_j |v_k| and quad_ijk v_j v_k."""
+    bring(robot(hydrodynamics(**FULL, **MIXED)))
+    made = import_vehicle(tmp_path / "rov.urdf", "t200")
+    (tmp_path / "made.toml").write_text(made.text)
+    params = build_vehicle(load_vehicle(str(tmp_path / "made.toml")), None, 16.0)
+    rng = np.random.default_rng(0)
+    for nu in rng.uniform(-2, 2, (20, 6)):
+        force = np.zeros(6)
+        for key, value in (FULL | MIXED).items():
+            if "Dot" in key:
+                continue
+            first, *rest = [nu["UVWPQR".index(letter)] for letter in key[1:] if letter.isupper()]
+            factor = first * (abs(rest[0]) if "abs" in key else rest[0]) if rest else first
+            force["xyzkmn".index(key[0])] += value * factor
+        np.testing.assert_allclose(damping_wrench(params, nu), force, rtol=2e-5, atol=1e-4)
+
+
+def test_products_of_a_turned_link_are_dropped(bring):
+    root = """<link name="water"/>
+      <joint name="fix" type="fixed"><parent link="base_link"/><child link="water"/>
+      <origin rpy="0 0 1.5707963267948966"/></joint>"""
+    made = bring(robot(root, hydrodynamics("water", **FULL, yUV=-7)))
+    assert made.noted("dropped", "Y_uv = -7", "turned")
+    assert "products" not in made.numbers["damping"]
 
 
 def test_what_the_plugin_leaves_out_is_named(bring):
