@@ -86,6 +86,7 @@ def check_vehicle(
     voltage_v: Annotated[float, tyro.conf.arg(name="voltage")] = 16.0,
     approach: float = 0.5,
     steer: float = 0.2,
+    level: bool = False,
     density: float = 1000.0,
     only: tuple[str, ...] = (),
     out: Path | None = None,
@@ -98,6 +99,7 @@ def check_vehicle(
         voltage_v: Battery voltage, V.
         approach: Surge thrust of the approach, as a fraction of the greatest.
         steer: Steering of circle, zig-zag and spiral, as a fraction of the greatest.
+        level: Hold roll and pitch, as a controller would.
         density: Density of the water, kg/m^3.
         only: Beginnings of the names of trials, as in turning zig-zag; all if left out.
         out: Folder to make, for table.csv and figure.png.
@@ -112,7 +114,7 @@ def check_vehicle(
     from angler_mjx.studies.sea_trials.check_vehicle import TrialSettings
     from angler_mjx.studies.sea_trials.check_vehicle import check_vehicle as do_trials
 
-    settings = TrialSettings(approach=approach, steer=steer, density_kgpm3=density)
+    settings = TrialSettings(approach=approach, steer=steer, density_kgpm3=density, level=level)
     config = load_vehicle(name)
     if out is not None and out.exists():
         raise ConfigError(f"--out {out}: exists; remove it or choose another name")
@@ -254,6 +256,7 @@ def _format_properties(properties: "VehicleProperties") -> list[tuple[str, str]]
         *((f"{axis} at full thrust", _format_speed(speed, lag)) for axis, speed, lag in speeds),
         ("natural roll period", _format_period(properties.roll_period_s)),
         ("natural pitch period", _format_period(properties.pitch_period_s)),
+        ("trim at rest", _format_trim(properties.trim_rad)),
         ("rotor time constant", f"{properties.rotor_time_constant_s:g} s"),
         *_format_gain(properties.damping_gain_w),
     ]
@@ -271,6 +274,13 @@ def _format_gain(power_w: float | None) -> list[tuple[str, str]]:
 
 def _format_speed(speed: float, lag: float) -> str:
     return f"{speed:.2f} m/s, time constant {lag:.2f} s" if speed > 0 else "none by itself"
+
+
+def _format_trim(trim_rad: tuple[float, float] | None) -> str:
+    if trim_rad is None:
+        return "none: nothing rights it"
+    roll, pitch = (round(math.degrees(angle), 1) + 0.0 for angle in trim_rad)
+    return f"roll {roll:.1f}, pitch {pitch:.1f} degrees"
 
 
 def _format_period(seconds: float | None) -> str:

@@ -181,8 +181,9 @@ def _power_curves(control: ControlParams) -> jax.Array:
     def power_at(axis: jax.Array, v: jax.Array) -> jax.Array:
         drag = jnp.eye(6, dtype=v.dtype)[axis] * (vehicle.D_l[axis] + vehicle.D_q[axis] * v) * v
         thrust = control.allocation.B_inverse @ drag
-        thruster_power_w = jax.vmap(lambda f: jnp.interp(f, vehicle.thrust_n, vehicle.power_w))(
-            thrust
+        rows = 0 if vehicle.thrust_n.ndim > 1 else None
+        thruster_power_w = jax.vmap(jnp.interp, (0, rows, rows))(
+            thrust, vehicle.thrust_n, vehicle.power_w
         )
         return jnp.sum(jnp.where(vehicle.thruster_exists, thruster_power_w, 0.0))
 

@@ -14,7 +14,7 @@ from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.drive import Drive, compute_drive, require_flyable, wrench_matrix
 from angler_mjx.robot.vehicles.fins import steers_by_fins
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
-from angler_mjx.robot.vehicles.thrusters import tables_at
+from angler_mjx.robot.vehicles.thrust_curves import build_thrust_tables, thrust_ends
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.sim.fleet import Member, Variant
@@ -110,7 +110,7 @@ class FleetEntry(FileModel):
         """
         config = library.load_vehicle(self.vehicle)
         try:
-            thrust_n, _ = tables_at(library.load_thruster(config.rotor.model), self.battery_v)
+            thrust_n, _ = build_thrust_tables(config, self.battery_v)
         except ConfigError as error:
             raise ConfigError(f"battery_v: {error}") from error
         wrench = wrench_matrix(config)
@@ -120,8 +120,7 @@ class FleetEntry(FileModel):
             limits.append(
                 compute_drive(
                     wrench,
-                    float(thrust_n[0]),
-                    float(thrust_n[-1]),
+                    *thrust_ends(thrust_n),
                     np.asarray(damping.linear_diagonal[:3], float),
                     np.asarray(damping.quadratic_diagonal[:3], float),
                     steers_by_fins(config),

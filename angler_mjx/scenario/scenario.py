@@ -485,6 +485,8 @@ def _vehicle_table(vehicle: VehicleConfig, used_sets: Sequence[str]) -> JsonTabl
     for row in table["thrusters"]["layout"]:
         if row["time_constant_s"] is None:
             del row["time_constant_s"]
+        if row["curve"] is None:
+            del row["curve"]
     table["parameter_sets"] = {
         name: row.model_dump(
             mode="json",

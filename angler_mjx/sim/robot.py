@@ -83,7 +83,8 @@ def thrust_and_power(vehicle: VehicleParams, pwm: ThrusterPwm) -> tuple[jax.Arra
 
     Of fins the deflection, rad.
     """
-    pick = jax.vmap(thruster.lookup, (None, 0, None, None))
+    rows = 0 if vehicle.thrust_n.ndim > 1 else None
+    pick = jax.vmap(thruster.lookup, (rows, 0, None, None))
     thrust = pick(vehicle.thrust_n, pwm.pwm_us, PWM_LOW_US, PWM_STEP_US) * vehicle.thruster_health
     if vehicle.fins is not None:
         deflection = settled_deflection(vehicle.fins, pwm.pwm_us)

@@ -121,6 +121,9 @@ class Workshop:
         for row in TABLE["printed"]:
             text = _resized(_block(row["page"], row["holds"]), row["name"])
             (folder / row["name"]).write_text(text, encoding="utf-8")
+            if row["name"] in words:
+                for name in re.findall(r'"([\w./]+\.toml)"', text):
+                    self._take(folder, name)
         for i, word in enumerate(words):
             if word.partition("/")[0] in TRACKED:
                 self._copy(folder, word)

@@ -30,7 +30,7 @@ class DragHull:
     thrusters: jax.Array
     """[n_thruster, 3] thrust per newton of a force."""
     max_thrust_n: jax.Array
-    """[] thrust limit of a thruster in both directions."""
+    """[] thrust limit of a thruster in both directions; [n_thruster] where thrusters differ."""
     fastest_mps: jax.Array
     """[3] through the water, along the robot's axes."""
     cruise_mps: jax.Array
@@ -53,7 +53,7 @@ def build_drag_hull(
         quadratic=vehicle.D_q[:3],
         lift_n=(density_kgpm3 * vehicle.volume_m3 - vehicle.mass_kg) * gravity_mps2,
         thrusters=params.allocation.B_inverse[:, :3],
-        max_thrust_n=jnp.minimum(vehicle.thrust_n[-1], -vehicle.thrust_n[0]),
+        max_thrust_n=_find_limit(vehicle.thrust_n),
         fastest_mps=SPEED_FRACTION * jnp.where(speed > 0.0, speed, jnp.max(speed)),
         cruise_mps=params.cruise_speed_mps,
     )
@@ -111,10 +111,25 @@ def allocate_thrust(hull: DragHull, force: jax.Array) -> tuple[jax.Array, jax.Ar
     """
     level = jnp.einsum("ti,is->ts", hull.thrusters[:, :2], force[:2])
     heave = hull.thrusters[:, 2:] * force[2]
-    level_scale = jnp.minimum(1.0, hull.max_thrust_n / (jnp.max(jnp.abs(level), axis=0) + 1e-6))
-    heave_scale = jnp.minimum(1.0, hull.max_thrust_n / (jnp.max(jnp.abs(heave), axis=0) + 1e-6))
+    level_scale = jnp.minimum(1.0, _least_margin(hull, level))
+    heave_scale = jnp.minimum(1.0, _least_margin(hull, heave))
     achieved_n = jnp.stack([force[0] * level_scale, force[1] * level_scale, force[2] * heave_scale])
     return achieved_n, level * level_scale + heave * heave_scale
+
+
+def _find_limit(thrust_n: jax.Array) -> jax.Array:
+    """Return `DragHull.max_thrust_n` of a thrust table [n], or [n_thruster, n]."""
+    if thrust_n.ndim > 1:
+        return jnp.minimum(thrust_n[:, -1], -thrust_n[:, 0])
+    return jnp.minimum(thrust_n[-1], -thrust_n[0])
+
+
+def _least_margin(hull: DragHull, thrust_n: jax.Array) -> jax.Array:
+    """Return the least limit over thrust [S] of thrusts [n_thruster, S]."""
+    size = jnp.abs(thrust_n)
+    if hull.max_thrust_n.ndim > 0:
+        return jnp.min(hull.max_thrust_n[:, None] / (size + 1e-6), axis=0)
+    return hull.max_thrust_n / (jnp.max(size, axis=0) + 1e-6)
 
 
 def relative_power(hull: DragHull, thrust_n: jax.Array) -> jax.Array:

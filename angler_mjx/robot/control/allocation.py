@@ -45,7 +45,7 @@ class AllocationParams:
     B_inverse: jax.Array
     """[n_thruster, 6] pseudo-inverse of ``B``, over the axes the thrusters command."""
     thrust_n: jax.Array
-    """[n_pwm] thrust table at the battery's voltage."""
+    """[n_pwm] thrust table at the battery's voltage; [n_thruster, n_pwm] where thrusters differ."""
     B: jax.Array
     """[6, n_thruster] wrench per newton of a sound thruster, times the known health."""
     mode: jax.Array
@@ -160,7 +160,7 @@ def allocate(params: AllocationParams, command: BodyWrench) -> ThrusterPwm:
     Returns:
         PWM [n_thruster]; a demand below ``MIN_THRUST_N`` gives the neutral signal.
     """
-    low, high = params.thrust_n[0], params.thrust_n[-1]
+    low, high = _find_limits(params)
     tau = command.tau
     groups = jnp.array(_GROUPS, tau.dtype)
     thrust = jnp.zeros(params.B_inverse.shape[0], tau.dtype)
@@ -185,7 +185,7 @@ def allocate_to_limits(params: AllocationParams, command: BodyWrench) -> Thruste
     Returns:
         PWM [n_thruster]; the same as `allocate`'s where no thruster runs to its end.
     """
-    low, high = params.thrust_n[0], params.thrust_n[-1]
+    low, high = _find_limits(params)
     tau = command.tau
     thrust = jnp.zeros(params.B_inverse.shape[0], tau.dtype)
     for group in jnp.array(_GROUPS, tau.dtype):
@@ -236,13 +236,25 @@ def realised_wrench(params: AllocationParams, pwm: ThrusterPwm) -> BodyWrench:
     Returns:
         Wrench [6] at the centre of mass, in F; also about axes that are not commanded.
     """
-    look = jax.vmap(thruster.lookup, (None, 0, None, None))
+    look = jax.vmap(thruster.lookup, (_table_axis(params), 0, None, None))
     thrust = look(params.thrust_n, pwm.pwm_us, PWM_LOW_US, PWM_STEP_US)
     return BodyWrench(tau=matrix_times(params.B, thrust))
 
 
+def _table_axis(params: AllocationParams) -> int | None:
+    """Return the axis of thrusters in ``thrust_n``; None where one table serves all."""
+    return 0 if params.thrust_n.ndim > 1 else None
+
+
+def _find_limits(params: AllocationParams) -> tuple[jax.Array, jax.Array]:
+    """Return the least and the greatest thrust [] of all thrusters, or [n] of each."""
+    if params.thrust_n.ndim > 1:
+        return params.thrust_n[:, 0], params.thrust_n[:, -1]
+    return params.thrust_n[0], params.thrust_n[-1]
+
+
 def _to_pwm(params: AllocationParams, thrust: jax.Array) -> ThrusterPwm:
-    pwm = jax.vmap(thruster.inverse_lookup, (None, 0, None, None))(
+    pwm = jax.vmap(thruster.inverse_lookup, (_table_axis(params), 0, None, None))(
         params.thrust_n, thrust, PWM_LOW_US, PWM_STEP_US
     )
     return ThrusterPwm(pwm_us=jnp.where(jnp.abs(thrust) < MIN_THRUST_N, NEUTRAL_US, pwm))

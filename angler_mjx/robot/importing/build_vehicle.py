@@ -34,8 +34,9 @@ from angler_mjx.robot.importing.numbers import (
     to_name,
 )
 from angler_mjx.robot.importing.rigid_groups import Group, find_thrusters, join_bodies, shapes_of
+from angler_mjx.robot.importing.thrust_curves import curve_table, limit_thrust
+from angler_mjx.robot.vehicles.properties import compute_trim_rad
 from angler_mjx.robot.vehicles.thruster_config import ThrusterTable
-from angler_mjx.robot.vehicles.thrusters import tables_at
 
 DEFAULT_DENSITY_KGPM3 = 1000.0
 SNAP_STEP_RAD, SNAP_TOLERANCE_RAD = math.radians(15), 1.5e-3
@@ -47,6 +48,8 @@ this fraction."""
 _VOLTAGE_V = 16.0
 _STALL_RAD = 0.3
 _LAG_S = 0.02
+_MAX_TRIM_RAD = math.radians(5)
+"""Roll or pitch at rest above which the list says so."""
 _AXES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 
 
@@ -91,6 +94,7 @@ def build_vehicle(
     if vehicle.size_m is not None:
         size_m = np.array(vehicle.size_m)
     volume, center = _find_buoyancy(vehicle, base, shapes, water_density, notes)
+    _note_trim(center - base.center_of_mass_m, notes)
     trim_volume = volume
     arm = build_arm(vehicle, groups, notes)
     trim_volume += sum(link["buoyancy"]["volume_m3"] for link in arm.get("links", []))
@@ -259,6 +263,7 @@ def _build_water(
     """Return the tables added_mass and damping."""
     added, linear, quadratic = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros((6, 6))
     locations = dict[str, list[Location]](added=[], damping=[])
+    products = dict[str, float]()
     for water in vehicle.hydrodynamics:
         pose = base.poses.get(water.body)
         if pose is None:
@@ -290,6 +295,8 @@ def _build_water(
                 continue
             locations["damping"].append(where)
             total += turn @ _coupled_damping(matrix, name, turn, water, notes) @ turn.T
+        for name, value in _unturned_products(water, pose, notes).items():
+            products[name] = products.get(name, 0.0) + value
         if np.linalg.norm(arm) > 1e-9:
             notes.add(
                 "assumed",
@@ -306,8 +313,22 @@ def _build_water(
             )
     return {
         "added_mass": _build_added_mass(added, locations["added"], size_m, volume, density, notes),
-        "damping": _build_damping(linear, quadratic, locations["damping"], size_m, density, notes),
+        "damping": _build_damping(linear, quadratic, locations["damping"], size_m, density, notes)
+        | ({"products": products} if products else {}),
     }
+
+
+def _unturned_products(water: Hydrodynamics, pose: np.ndarray, notes: Notes) -> dict[str, float]:
+    """Return the derivatives by products of velocities; none of a link whose axes are turned."""
+    if not water.products or np.allclose(pose[:3, :3], np.eye(3), atol=1e-6):
+        return water.products
+    listed = ", ".join(f"{name} = {value:g}" for name, value in water.products.items())
+    notes.add(
+        "dropped",
+        f"products of velocities of {water.body} ({listed}): the axes of its link are turned",
+        water.element.location,
+    )
+    return {}
 
 
 def _coupled_damping(
@@ -456,6 +477,9 @@ def _build_thrusters(
                 f"thruster {format_value(mount.name)} is on link {format_value(mount.body)}, which "
                 "a joint moves; only thrusters that are fixed to the vehicle are read"
             )
+        curve = mount.curve_n
+        if curve is None:
+            curve = limit_thrust(mount, thruster, _VOLTAGE_V, notes)
         name = to_name(re.sub(r"_?joint$", "", mount.name.rpartition("/")[2]))
         if name in names.values():
             name = to_name(mount.name)
@@ -467,6 +491,7 @@ def _build_thrusters(
                 "direction": _snap_direction(pose[:3, :3] @ mount.direction, mount, notes),
                 "spin": mount.spin or 1,
                 **({"time_constant_s": mount.lag_s} if differ and mount.lag_s else {}),
+                **({} if curve is None else {"curve": curve_table(curve)}),
             }
         )
         if mount.spin is None:
@@ -483,7 +508,6 @@ def _build_thrusters(
                 f"{before} -> {after}" for before, after in names.items() if before != after
             ),
         )
-    _note_thrust(vehicle, thruster, notes)
     return {
         "layout": layout,
         "source": f"{vehicle.location.file.name}: poses of the thrusters' links and axes of their "
@@ -578,19 +602,16 @@ def _snap_direction(direction: np.ndarray, mount: ThrusterMount, notes: Notes) -
     return round_vector(np.where(np.abs(snapped) < 1e-12, 0.0, snapped), 16)
 
 
-def _note_thrust(vehicle: ForeignVehicle, thruster: ThrusterTable, notes: Notes) -> None:
-    thrust_n, _ = tables_at(
-        thruster, min(max(_VOLTAGE_V, thruster.voltage_v[0]), thruster.voltage_v[-1])
-    )
-    for mount in vehicle.thrusters:
-        limits = [x for x in (mount.min_thrust_n, mount.max_thrust_n) if x is not None]
-        if limits:
-            notes.add(
-                "dropped",
-                f"limits of thrust {', '.join(f'{x:g} N' for x in limits)}: "
-                f"thruster {thruster.name} gives {thrust_n[0]:.1f} to {thrust_n[-1]:.1f} N",
-                mount.element.location,
-            )
+def _note_trim(center_of_buoyancy_m: np.ndarray, notes: Notes) -> None:
+    trim_rad = compute_trim_rad(center_of_buoyancy_m)
+    if trim_rad is not None and max(np.abs(trim_rad)) > _MAX_TRIM_RAD:
+        roll, pitch = np.degrees(trim_rad)
+        notes.add(
+            "assumed",
+            f"the vehicle rests with a roll of {roll:.0f} and a pitch of {pitch:.0f} degrees: its "
+            f"centre of buoyancy is {_text(center_of_buoyancy_m)} m from the centre of mass; if it "
+            "floats level, correct masses or volumes",
+        )
 
 
 def _build_rotor(vehicle: ForeignVehicle, model: str, notes: Notes) -> dict[str, Any]:

@@ -117,6 +117,8 @@ class ThrusterMount:
     lag_s: float | None = None
     max_thrust_n: float | None = None
     min_thrust_n: float | None = None
+    curve_n: np.ndarray | None = None
+    """[n] thrust at `thrust_curves.CURVE_PWM_US`; None: the thruster file has it."""
     joint: str | None = None
 
 
@@ -152,6 +154,9 @@ class Hydrodynamics:
     """[6, 6]."""
     quadratic: np.ndarray | None = None
     """[6, 6] of |v_j| v_j."""
+    products: dict[str, float] = field(default_factory=dict)
+    """Derivatives of the wrench by products of two velocities, such as ``Y_uv``, as they are in
+    vehicle files."""
     names: dict[tuple[str, int, int], str] = field(default_factory=dict)
     """Names of the file for entries off the diagonal, by table, row and column."""
 

@@ -19,6 +19,7 @@ from angler_mjx.robot.importing.foreign_vehicle import (
     ThrusterMount,
 )
 from angler_mjx.robot.importing.notes import Notes
+from angler_mjx.robot.importing.thrust_curves import read_conversion
 from angler_mjx.robot.importing.xml_tree import Element
 
 _ROWS, _COLUMNS = "xyzkmn", "UVWPQR"
@@ -121,13 +122,8 @@ def _set_entry(
     water: Hydrodynamics, table: str, row: str, column: str, child: Element, notes: Notes
 ) -> None:
     i, j, value = _ROWS.index(row), _COLUMNS.index(column), -child.number()
-    if i != j and value != 0 and table != "added_mass":
-        notes.add(
-            "dropped",
-            f"<{child.tag}> = {-value:g}: vehicle files hold no cross damping",
-            child.location,
-        )
-        return
+    if i != j and table != "added_mass":
+        water.names[table, i, j] = f"<{child.tag}>"
     if i == j and value < 0:
         notes.add(
             "assumed",
@@ -146,12 +142,19 @@ def _read_quadratic(
     value = child.number()
     if value == 0:
         return
-    if not first == second == _COLUMNS[_ROWS.index(row)]:
+    is_diagonal = first == second == _COLUMNS[_ROWS.index(row)]
+    if absolute and first != second:
         notes.add(
             "dropped",
-            f"<{child.tag}> = {value:g}: vehicle files hold no cross damping",
+            f"<{child.tag}> = {value:g}: vehicle files hold |v| v of one velocity and products of "
+            "two, and no velocity times the size of another",
             child.location,
         )
+        return
+    if not absolute and not is_diagonal:
+        pair = "".join(sorted((first, second), key=_COLUMNS.index)).lower()
+        name = f"{row.upper()}_{pair}"
+        water.products[name] = water.products.get(name, 0.0) + value
         return
     if not absolute:
         notes.add(
@@ -291,16 +294,7 @@ def _read_uuv_thruster(plugin: Element, vehicle: ForeignVehicle, notes: Notes) -
                 dynamics.location,
             )
     conversion = plugin.find("conversion")
-    if conversion is not None:
-        numbers = [f"{c.tag} = {' '.join(c.text.split())}" for c in conversion.read().children]
-        notes.add(
-            "dropped",
-            f"conversion of thrusters ({', '.join(numbers)}): the thruster file has the thrust",
-            conversion.location,
-        )
-    efficiency = _optional_number(plugin, "gain")
-    if efficiency is not None and efficiency != 1:
-        notes.add("dropped", f"<gain> = {efficiency:g} of a thruster", plugin.location)
+    curve = None if conversion is None else read_conversion(plugin, conversion, notes)
     _add_thruster(
         ThrusterMount(
             name=name,
@@ -312,6 +306,7 @@ def _read_uuv_thruster(plugin: Element, vehicle: ForeignVehicle, notes: Notes) -
             lag_s=lag,
             max_thrust_n=_optional_number(plugin, "thrustMax"),
             min_thrust_n=_optional_number(plugin, "thrustMin"),
+            curve_n=curve,
             joint=None if element is None else element.text.strip(),
         ),
         vehicle,
@@ -454,6 +449,13 @@ def _optional_number(parent: Element, tag: str) -> float | None:
     return None if element is None else element.number()
 
 
+def _is_same(first: np.ndarray | None, second: np.ndarray | None) -> bool:
+    """Return whether two curves are equal, or there are none."""
+    if first is None or second is None:
+        return first is second
+    return np.array_equal(first, second)
+
+
 def _add_thruster(mount: ThrusterMount, vehicle: ForeignVehicle, notes: Notes) -> None:
     for other in vehicle.thrusters:
         if other.body == mount.body:
@@ -462,7 +464,7 @@ def _add_thruster(mount: ThrusterMount, vehicle: ForeignVehicle, notes: Notes) -
                 mount.lag_s,
                 mount.max_thrust_n,
                 mount.min_thrust_n,
-            ):
+            ) or not _is_same(other.curve_n, mount.curve_n):
                 mount.element.fail(
                     f"contradicts the thruster of {format_value(mount.body)} at "
                     f"{other.element.location}; remove one of them"
@@ -491,7 +493,7 @@ def _add_hydrodynamics(water: Hydrodynamics, vehicle: ForeignVehicle, notes: Not
                 (getattr(other, key), getattr(water, key))
                 for key in ("added_mass", "linear", "quadratic")
             )
-            if any(not np.array_equal(a, b) for a, b in pairs):
+            if other.products != water.products or any(not np.array_equal(a, b) for a, b in pairs):
                 water.element.fail(
                     f"contradicts the hydrodynamics of {format_value(water.body)} at "
                     f"{other.element.location}; remove one of them"

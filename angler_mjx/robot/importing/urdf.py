@@ -1,5 +1,7 @@
 """URDF files into `ForeignVehicle`; plugins for Gazebo in them are read by `plugins`."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from angler_mjx.errors import format_value
@@ -16,6 +18,8 @@ from angler_mjx.robot.importing.meshes import read_mesh_box
 from angler_mjx.robot.importing.notes import Notes
 from angler_mjx.robot.importing.packages import Packages
 from angler_mjx.robot.importing.xml_tree import Element
+
+type _Rgba = tuple[float, float, float, float]
 
 _KINDS: dict[str, JointKind] = {
     "fixed": "fixed",
@@ -34,8 +38,12 @@ def read_urdf(root: Element, packages: Packages, notes: Notes) -> ForeignVehicle
         ConfigError: a fault of the file; names file, line and element.
     """
     vehicle = ForeignVehicle(name=root.attribute("name"), format="URDF", location=root.location)
+    colors = {
+        material.attribute("name", ""): _read_color(material)
+        for material in root.find_all("material")
+    }
     for link in root.find_all("link"):
-        body = _read_link(link, packages, notes)
+        body = _read_link(link, colors, packages, notes)
         if body.name in vehicle.bodies:
             link.fail("this name occurs twice; rename one of them")
         vehicle.bodies[body.name] = body
@@ -57,7 +65,18 @@ def read_origin(element: Element | None) -> np.ndarray:
     )
 
 
-def _read_link(link: Element, packages: Packages, notes: Notes) -> ForeignBody:
+def _read_color(material: Element) -> _Rgba | None:
+    """Return the colour of a <material>; None where it has none, as with a texture."""
+    color = material.find("color")
+    if color is None:
+        return None
+    r, g, b, a = (min(max(x, 0.0), 1.0) for x in color.attribute_numbers("rgba", 4))
+    return r, g, b, a
+
+
+def _read_link(
+    link: Element, colors: dict[str, _Rgba | None], packages: Packages, notes: Notes
+) -> ForeignBody:
     body = ForeignBody(name=link.attribute("name"), element=link)
     inertial = link.find("inertial")
     if inertial is not None:
@@ -66,6 +85,13 @@ def _read_link(link: Element, packages: Packages, notes: Notes) -> ForeignBody:
         for element in link.find_all(tag):
             element.attribute("name", "")
             shape = _read_shape(element, packages, notes)
+            material = element.find("material") if tag == "visual" else None
+            if material is not None:
+                # A material is stated where it is first used, or named alone.
+                name, color = material.attribute("name", ""), _read_color(material)
+                colors.setdefault(name, color)
+                color = color or colors[name]
+                shape = shape if shape is None else replace(shape, rgba=color)
             if shape is not None:
                 shapes.append(shape)
     return body

@@ -52,6 +52,31 @@ class HullTable(FileModel):
     source: Source
 
 
+class ThrustCurve(FileModel):
+    """Static thrust of one thruster against its PWM, at any voltage."""
+
+    pwm_us: Annotated[tuple[Annotated[int, Field(ge=0, le=10_000)], ...], Field(min_length=2)]
+    """PWM values; rising, 1100 to 1900 at least."""
+    thrust_n: Annotated[tuple[Number, ...], Field(min_length=2)]
+    """Thrust at each; not falling. Power is that of the vehicle's thruster file at this thrust, and
+    beyond its ends grows as the 3/2 of the thrust."""
+
+    @model_validator(mode="after")
+    def _check_consistent(self) -> Self:
+        if len(self.pwm_us) != len(self.thrust_n):
+            raise ValueError(f"thrust_n needs {len(self.pwm_us)} values, one for each of pwm_us")
+        if np.any(np.diff(self.pwm_us) <= 0) or np.any(np.diff(self.thrust_n) < 0):
+            raise ValueError("pwm_us must increase, and thrust_n must not fall")
+        if self.pwm_us[0] > checks.PWM_LOW_US or self.pwm_us[-1] < checks.PWM_HIGH_US:
+            raise ValueError(
+                f"pwm_us runs from {self.pwm_us[0]} to {self.pwm_us[-1]}; it must cover "
+                f"{checks.PWM_LOW_US} to {checks.PWM_HIGH_US}"
+            )
+        if not self.thrust_n[0] < 0 < self.thrust_n[-1]:
+            raise ValueError("thrust_n must be negative at the first PWM and positive at the last")
+        return self
+
+
 class Thruster(FileModel):
     """Thruster in the base frame."""
 
@@ -65,6 +90,8 @@ class Thruster(FileModel):
     """+1 if the rotor turns right-handed about ``direction`` at positive thrust."""
     time_constant_s: Positive | None = None
     """Lag of first order of its thrust; that of all rotors if left out."""
+    curve: ThrustCurve | None = None
+    """Thrust by PWM where it differs from that of the thruster file of ``rotor``."""
 
 
 class Thrusters(FileModel):

@@ -54,8 +54,8 @@ class Drive:
 
 def compute_drive(
     B: FloatArray,
-    reverse_n: float,
-    forward_n: float,
+    reverse_n: float | FloatArray,
+    forward_n: float | FloatArray,
     D_l: FloatArray,
     D_q: FloatArray,
     steers_by_fins: bool = False,
@@ -64,7 +64,7 @@ def compute_drive(
 
     Args:
         B: [6, n_t] wrench per newton of each thruster, in F.
-        reverse_n: thrust of each thruster at the lowest PWM, N (negative).
+        reverse_n: thrust of each thruster at the lowest PWM, N (negative); [n_t] where they differ.
         forward_n: thrust at the highest PWM, N.
         D_l: [3] linear damping of surge, sway, heave, N s/m.
         D_q: [3] quadratic damping, N s^2/m^2.
@@ -100,7 +100,9 @@ def require_flyable(config: VehicleConfig, able: Drive) -> None:
         )
 
 
-def full_force(rows: FloatArray, reverse_n: float, forward_n: float) -> FloatArray:
+def full_force(
+    rows: FloatArray, reverse_n: float | FloatArray, forward_n: float | FloatArray
+) -> FloatArray:
     """Return the largest force along each axis that can be driven in both directions.
 
     Each thruster runs at the end of its table that helps: a thruster that points backward pushes in
@@ -108,7 +110,7 @@ def full_force(rows: FloatArray, reverse_n: float, forward_n: float) -> FloatArr
 
     Args:
         rows: [k, n_t] rows of the wrench matrix.
-        reverse_n: Thrust at the lowest PWM, N (negative).
+        reverse_n: Thrust at the lowest PWM, N (negative); [n_t] where thrusters differ.
         forward_n: Thrust at the highest PWM, N.
 
     Returns:

@@ -21,7 +21,6 @@ from angler_mjx.robot.vehicles.damping import (
 )
 from angler_mjx.robot.vehicles.drive import compute_drive, wrench_matrix
 from angler_mjx.robot.vehicles.fins import FinParams, build_fins, pad_fins
-from angler_mjx.robot.vehicles.library import load_thruster
 from angler_mjx.robot.vehicles.link_hull import (
     LinkCapsules,
     build_link_capsules,
@@ -31,7 +30,8 @@ from angler_mjx.robot.vehicles.link_hull import (
 from angler_mjx.robot.vehicles.link_params import LinkParams, build_links, pad_links
 from angler_mjx.robot.vehicles.rotor import RotorFilter
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
-from angler_mjx.robot.vehicles.thrusters import tables_at
+from angler_mjx.robot.vehicles.thrust_curves import build_thrust_tables, thrust_ends
+from angler_mjx.robot.vehicles.thrusters import FloatArray
 
 _PLANAR_AXES = (1.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
@@ -61,9 +61,10 @@ class VehicleParams:
     """[6, n_t] wrench per newton of thrust, reaction torque included; zero in columns of padding
     and of fins, which stand behind the thrusters."""
     thrust_n: jax.Array
-    """[201] thrust on the PWM grid 1100, 1104 ... 1900 us, at the robot's voltage."""
+    """[201] thrust on the PWM grid 1100, 1104 ... 1900 us, at the robot's voltage; [n_t, 201] where
+    a thruster of one vehicle of the fleet has a curve of its file."""
     power_w: jax.Array
-    """[201] electrical power on the same grid."""
+    """[201] electrical power on the same grid, or [n_t, 201]."""
     tau_s: jax.Array
     """[] time constant of the rotors, of first order; [n_t] where those of one vehicle of the fleet
     differ."""
@@ -130,14 +131,14 @@ def build_vehicle(
     chosen = config.find_set(parameter_set)
     health = np.array(config.find_health(thruster_health or {}))
     health = health * np.asarray(thrust_gain) if len(thrust_gain) else health
-    thrust_n, power_w = tables_at(load_thruster(config.rotor.model), voltage_v)
+    thrust_n, power_w = build_thrust_tables(config, voltage_v)
     B = wrench_matrix(config)
     n_fin = len(config.fins.layout) if config.fins else 0
     health = np.concatenate([health, np.ones(n_fin)]) if n_fin else health
     exists = (health > 0.0) & (np.arange(len(health)) < B.shape[1])
     D_l = np.asarray(chosen.damping.linear_diagonal)
     D_q = np.asarray(chosen.damping.quadratic_diagonal)
-    speed = compute_drive(B, thrust_n[0], thrust_n[-1], D_l[:3], D_q[:3]).terminal_speed_mps
+    speed = compute_drive(B, *thrust_ends(thrust_n), D_l[:3], D_q[:3]).terminal_speed_mps
     center = np.asarray(config.base.center_of_mass_m)
     capsules = config.hull.capsules
     start = np.array([capsule.from_m for capsule in capsules]) - center
@@ -154,8 +155,8 @@ def build_vehicle(
         p_cb_m=_device_array(chosen.buoyancy.center_of_buoyancy_m),
         hull_height_m=_device_array(config.hull.height_m),
         B=_device_array(np.pad(B, ((0, 0), (0, n_fin)))),
-        thrust_n=_device_array(thrust_n),
-        power_w=_device_array(power_w),
+        thrust_n=_device_array(_pad_tables(thrust_n, len(health))),
+        power_w=_device_array(_pad_tables(power_w, len(health))),
         tau_s=_device_array(_find_lags(config, n_fin)),
         capsule_a_m=_device_array(start),
         capsule_b_m=_device_array(end),
@@ -192,6 +193,7 @@ def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
         [v.link_capsules for v in variants],
         [(v.capsule_a_m[0], v.capsule_b_m[0], v.capsule_r_m[0]) for v in variants],
     )
+    has_curves = any(variant.thrust_n.ndim > 1 for variant in variants)
     has_lags = any(variant.tau_s.ndim for variant in variants)
     is_held = any(variant.free_axes is not None for variant in variants)
     fins = pad_fins([v.fins for v in variants], [v.B.shape[1] for v in variants], n_t)
@@ -203,6 +205,8 @@ def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
             cross_damping=cross,
             free_axes=_pad_axes(robot) if is_held else None,
             tau_s=_pad_lags(robot, n_t) if has_lags else robot.tau_s,
+            thrust_n=_spread_tables(robot.thrust_n, n_t) if has_curves else robot.thrust_n,
+            power_w=_spread_tables(robot.power_w, n_t) if has_curves else robot.power_w,
             fins=robot_fins,
             links=robot_links,
             link_capsules=capsules,
@@ -230,6 +234,21 @@ def _pad_lags(params: VehicleParams, n_t: int) -> Any:
     if lags.ndim == 0:
         return np.full(n_t, lags)
     return np.pad(lags, (0, n_t - lags.size), mode="edge")
+
+
+def _pad_tables(tables: FloatArray, count: int) -> FloatArray:
+    """Return tables [n_t, 201] with rows for fins; those [201] of all thrusters as they are."""
+    if tables.ndim == 1:
+        return tables
+    return np.pad(tables, ((0, count - len(tables)), (0, 0)), mode="edge")
+
+
+def _spread_tables(tables: jax.Array, n_t: int) -> Any:
+    """Return the tables [n_t, 201] of a vehicle in a fleet of which one has curves."""
+    rows = np.asarray(tables)
+    if rows.ndim == 1:
+        return np.tile(rows, (n_t, 1))
+    return _pad_tables(rows, n_t)
 
 
 def _build_rotor(config: VehicleConfig, response: RotorResponse | None) -> RotorFilter | None:

@@ -8,13 +8,15 @@ import numpy as np
 from angler_mjx.robot.vehicles.config import ParameterSet, VehicleConfig
 from angler_mjx.robot.vehicles.damping import largest_gain_w
 from angler_mjx.robot.vehicles.drive import compute_drive, wrench_matrix
-from angler_mjx.robot.vehicles.library import load_thruster
-from angler_mjx.robot.vehicles.thrusters import FloatArray, tables_at
+from angler_mjx.robot.vehicles.thrust_curves import build_thrust_tables, thrust_ends
+from angler_mjx.robot.vehicles.thrusters import FloatArray
 
 GRAVITY_MPS2 = 9.81
 FRESH_WATER_KGPM3 = 1000.0
 """Density of fresh water, in which the published sets were identified; weight and buoyancy are
 compared in it."""
+
+_NO_ARM_M = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +37,9 @@ class VehicleProperties:
     roll_period_s: float | None
     """Undamped period in roll; None without a righting moment."""
     pitch_period_s: float | None
+    trim_rad: tuple[float, float] | None
+    """Roll and pitch at rest, links left out; None without an arm of buoyancy, and of planar
+    vehicles."""
     rotor_time_constant_s: float
     damping_gain_w: float | None
     """Largest power that damping between axes gives the vehicle in still water, see
@@ -50,11 +55,11 @@ def describe_vehicle(
         ConfigError: unknown set or thruster, or a voltage outside the thruster's data.
     """
     chosen = config.find_set(parameter_set)
-    thrust_n, _ = tables_at(load_thruster(config.rotor.model), voltage_v)
+    thrust_n, _ = build_thrust_tables(config, voltage_v)
     B = wrench_matrix(config)
     linear = np.asarray(chosen.damping.linear_diagonal[:3])
     quadratic = np.asarray(chosen.damping.quadratic_diagonal[:3])
-    speed = compute_drive(B, thrust_n[0], thrust_n[-1], linear, quadratic).terminal_speed_mps
+    speed = compute_drive(B, *thrust_ends(thrust_n), linear, quadratic).terminal_speed_mps
     slope = linear + 2 * quadratic * speed
     M_A = np.asarray(chosen.added_mass.coefficients)
     links = config.find_links(parameter_set)
@@ -73,9 +78,30 @@ def describe_vehicle(
         ),
         roll_period_s=_period_s(chosen, 0),
         pitch_period_s=_period_s(chosen, 1),
+        trim_rad=None
+        if config.planar
+        else compute_trim_rad(np.asarray(chosen.buoyancy.center_of_buoyancy_m)),
         rotor_time_constant_s=config.rotor.lag.time_constant_s,
         damping_gain_w=largest_gain_w(chosen.damping) if chosen.damping.couples_axes else None,
     )
+
+
+def compute_trim_rad(center_of_buoyancy_m: FloatArray) -> tuple[float, float] | None:
+    """Return roll and pitch at which the centre of buoyancy is above the centre of mass.
+
+    The world's up in F is then e = (-sin pitch, sin roll cos pitch, cos roll cos pitch).
+
+    Args:
+        center_of_buoyancy_m: [3] from the centre of mass, in F.
+
+    Returns:
+        rad; None where the centres coincide.
+    """
+    arm = float(np.linalg.norm(center_of_buoyancy_m))
+    if arm < _NO_ARM_M:
+        return None
+    x, y, z = center_of_buoyancy_m / arm
+    return math.atan2(y, z), -math.asin(x)
 
 
 def _buoyancy_n(chosen: ParameterSet) -> float:

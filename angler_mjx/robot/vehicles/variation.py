@@ -15,10 +15,9 @@ from angler_mjx.robot.vehicles.checks import Matrix
 from angler_mjx.robot.vehicles.config import Damping, ParameterSet, VehicleConfig
 from angler_mjx.robot.vehicles.derivatives import read_product
 from angler_mjx.robot.vehicles.drive import full_force, wrench_matrix
-from angler_mjx.robot.vehicles.library import load_thruster
 from angler_mjx.robot.vehicles.links import Link, LinkNumbers
 from angler_mjx.robot.vehicles.properties import GRAVITY_MPS2
-from angler_mjx.robot.vehicles.thrusters import tables_at
+from angler_mjx.robot.vehicles.thrust_curves import build_thrust_tables, thrust_ends
 
 type Six = tuple[float, float, float, float, float, float]
 _ONES: Six = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
@@ -201,8 +200,8 @@ def heave_forces(
     """
     chosen = apply_variation(config, parameter_set, variation).find_set(parameter_set)
     volts = battery_v if variation.battery_v is None else variation.battery_v
-    thrust_n, _ = tables_at(load_thruster(config.rotor.model), volts)
+    thrust_n, _ = build_thrust_tables(config, volts)
     row = wrench_matrix(config)[2:3] * np.asarray(variation.thrust or 1.0)
-    force_n = float(full_force(row, float(thrust_n[0]), float(thrust_n[-1]))[0])
+    force_n = float(full_force(row, *thrust_ends(thrust_n))[0])
     displaced_kg = density_kgpm3 * chosen.buoyancy.volume_m3
     return (displaced_kg - chosen.rigid_body.mass_kg) * GRAVITY_MPS2, force_n

@@ -14,6 +14,7 @@ from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.drive import full_force, terminal_speed
 from angler_mjx.robot.vehicles.fins import lift_matrix
 from angler_mjx.robot.vehicles.params import joint_names
+from angler_mjx.robot.vehicles.thrust_curves import thrust_ends
 from angler_mjx.runs.session.command_slots import command_types
 from angler_mjx.runs.session.command_validation import CommandLimits
 from angler_mjx.runs.session.interface import Floats, RobotInfo
@@ -113,7 +114,7 @@ def _robot_info(simulator: Simulator, worlds: FleetWorld, i: int) -> RobotInfo:
     wrench, table, linear, quadratic = (
         np.asarray(x, float)[0, i] for x in (params.B, params.thrust_n, params.D_l, params.D_q)
     )
-    moment = full_force(wrench[5:], float(table[0]), float(table[-1]))
+    moment = full_force(wrench[5:], *thrust_ends(table))
     if params.fins is not None:
         fins = jax.tree.map(lambda leaf: np.asarray(leaf)[0, i], params.fins)
         speed_mps = float(params.terminal_speed_mps[0, i, 0])

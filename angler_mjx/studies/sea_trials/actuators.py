@@ -14,10 +14,10 @@ import numpy as np
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.drive import wrench_matrix
 from angler_mjx.robot.vehicles.fins import build_fins, fin_matrix
-from angler_mjx.robot.vehicles.library import load_thruster
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.properties import describe_vehicle
-from angler_mjx.robot.vehicles.thrusters import FloatArray, tables_at
+from angler_mjx.robot.vehicles.thrust_curves import build_thrust_tables, thrust_ends
+from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.closed_form import ClosedForm
 from angler_mjx.sim.physics.step import VehicleState, Water
@@ -113,10 +113,10 @@ def build_actuators(config: VehicleConfig, voltage_v: float) -> Actuators:
     Raises:
         ConfigError: the voltage lies outside the thruster's data.
     """
-    thrust_n, _ = tables_at(load_thruster(config.rotor.model), voltage_v)
+    thrust_n, _ = build_thrust_tables(config, voltage_v)
     effect = wrench_matrix(config)
     count = effect.shape[1]
-    lower, upper = (np.full(count, float(thrust_n[end])) for end in (0, -1))
+    lower, upper = (np.broadcast_to(end, (count,)) for end in thrust_ends(thrust_n))
     fins = build_fins(config)
     if fins is not None:
         speed_mps = float(describe_vehicle(config, None, voltage_v).terminal_speed_mps[0])

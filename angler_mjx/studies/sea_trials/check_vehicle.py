@@ -2,14 +2,15 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
+import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.vehicles.config import VehicleConfig
-from angler_mjx.robot.vehicles.params import build_vehicle
+from angler_mjx.robot.vehicles.params import VehicleParams, build_vehicle
 from angler_mjx.robot.vehicles.properties import describe_vehicle
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.sim.physics.step import Water
@@ -28,6 +29,11 @@ SPIRAL_LEVELS = (1.0, 0.6, 0.3, 0.1, 0.0, -0.1, -0.3, -0.6, -1.0)
 """Steering of the spiral, as fractions of the steering of the turning circle."""
 DECAY_DEG = 10.0
 MIN_BUOYANCY_ARM_M = 1e-6
+MAX_TILT_DEG = 60.0
+"""Angle between the vehicle's vertical and the world's above which a vehicle tumbles: the measures
+of a trial are those of a level vehicle."""
+_LEVEL_AXES = (1.0, 1.0, 1.0, 0.0, 0.0, 1.0)
+_PLANAR = "held: the vehicle is planar"
 _SPEEDS: tuple[tuple[str, Axis, int], ...] = (
     ("surge ahead", "surge", 1),
     ("surge astern", "surge", -1),
@@ -47,6 +53,8 @@ class TrialSettings:
     steer: float = 0.2
     """Steering, as a fraction of the greatest."""
     density_kgpm3: float = 1000.0
+    level: bool = False
+    """Whether roll and pitch are held, as a controller would hold them."""
 
     def __post_init__(self) -> None:
         """Refuse fractions that cannot be commanded.
@@ -65,6 +73,8 @@ class VehicleCheck:
 
     vehicle: str
     parameter_set: str
+    level: bool
+    """Whether roll and pitch were held."""
     measures: tuple[Measure, ...]
     left_out: dict[str, str]
     """Reason why a trial was not done, by its name."""
@@ -82,6 +92,11 @@ class _Trial:
     name: str
     program: TrialProgram
     measure: Callable[[TrialMotion], list[Measure]]
+
+    @property
+    def label(self) -> str:
+        """Name in the table: the runs of the spiral are one trial."""
+        return "spiral" if self.name.startswith("spiral") else self.name
 
 
 def check_vehicle(
@@ -106,6 +121,8 @@ def check_vehicle(
     """
     settings = settings or TrialSettings()
     params = build_vehicle(config, parameter_set, voltage_v)
+    if settings.level:
+        params = _hold_level(params)
     actuators = build_actuators(config, voltage_v)
     approach_s = _choose_approach_s(config, parameter_set, voltage_v)
     trials, left_out = _list_trials(config, parameter_set, actuators, settings, approach_s)
@@ -126,22 +143,44 @@ def check_vehicle(
         water=water,
     )
     found: list[Measure] = []
+    by_name: dict[str, TrialMotion] = {}
     for trial, motion in zip(trials, motions, strict=True):
-        if not np.all(np.isfinite(motion.nu)):
-            left_out[trial.name] = "the motion diverges"
-            continue
-        found += trial.measure(motion)
-    by_name = {trial.name: motion for trial, motion in zip(trials, motions, strict=True)}
-    spiral = _collect_spiral(by_name)
+        fault = _find_fault(trial, motion)
+        if fault is None:
+            found += trial.measure(motion)
+            by_name[trial.name] = motion
+        else:
+            left_out.setdefault(trial.label, fault)
+    spiral = np.empty((0, 3)) if "spiral" in left_out else _collect_spiral(by_name)
     return VehicleCheck(
         vehicle=config.name,
         parameter_set=config.default_set if parameter_set is None else parameter_set,
+        level=settings.level,
         measures=(*found, *_measure_spiral(spiral)),
         left_out=left_out,
         motions=by_name,
         execute_index=round(approach_s / SAMPLE_S),
         spiral=spiral,
     )
+
+
+def _hold_level(params: VehicleParams) -> VehicleParams:
+    """Return a vehicle whose roll and pitch are held."""
+    axes = jnp.asarray(_LEVEL_AXES, params.D_l.dtype)
+    return replace(params, free_axes=axes if params.free_axes is None else params.free_axes * axes)
+
+
+def _find_fault(trial: _Trial, motion: TrialMotion) -> str | None:
+    """Return why a motion has no measures; None if it has."""
+    if not np.all(np.isfinite(motion.nu)):
+        return "the motion diverges"
+    over = np.flatnonzero(motion.tilt_rad > math.radians(MAX_TILT_DEG))
+    if not over.size:
+        return None
+    speed = float(np.max(np.linalg.norm(motion.nu[: over[0] + 1, :3], axis=1)))
+    reason = f"tumbles: tilts by more than {MAX_TILT_DEG:g} deg after reaching {speed:.2f} m/s"
+    remedy = "give a smaller --approach or --level" if trial.program.execute_s else "give --level"
+    return f"{reason}; {remedy}"
 
 
 def _list_trials(
@@ -157,6 +196,9 @@ def _list_trials(
     still = np.zeros(actuators.effect.shape[1])
     for name, axis, sign in _SPEEDS:
         command = actuators.push(axis, sign)
+        if config.planar and axis == "heave":
+            left_out[name] = _PLANAR
+            continue
         if command is None:
             left_out[name] = f"no actuator pushes in {axis} alone"
             continue
@@ -193,7 +235,9 @@ def _list_trials(
             )
     arm = config.find_set(parameter_set).buoyancy.center_of_buoyancy_m[2]
     for angle in ("roll", "pitch"):
-        if arm < MIN_BUOYANCY_ARM_M:
+        if config.planar or settings.level:
+            left_out[f"{angle} decay"] = _PLANAR if config.planar else "held by --level"
+        elif arm < MIN_BUOYANCY_ARM_M:
             left_out[f"{angle} decay"] = "nothing rights it"
         else:
             trials.append(_decay_trial(angle, still))

@@ -12,7 +12,7 @@ from angler_mjx.studies.sea_trials.program import SAMPLE_S, TrialMotion
 STEADY_FRACTION = 0.05
 """Fraction of a trial, at its end, over which a steady value is averaged."""
 STEADY_TOLERANCE = 0.01
-"""Change of a steady value over that time, as a fraction, above which it is not steady."""
+"""Range of a steady value in twice that time, as a fraction, above which it is not steady."""
 REST_FRACTION = 0.05
 """Fraction of the approach speed below which a coasting vehicle counts as stopped."""
 _COLUMNS: dict[Axis, int] = {"surge": 0, "sway": 1, "heave": 2, "yaw": 5}
@@ -171,9 +171,9 @@ def measure_decay(trial: str, time_s: FloatArray, angle_rad: FloatArray) -> list
 def average_end(values: FloatArray) -> tuple[float, str]:
     """Return the mean over the last `STEADY_FRACTION`, and a note where it is not steady."""
     count = max(1, round(STEADY_FRACTION * len(values)))
-    last, before = float(np.mean(values[-count:])), float(np.mean(values[-2 * count : -count]))
+    last, spread = float(np.mean(values[-count:])), float(np.ptp(values[-2 * count :]))
     scale = max(abs(last), 1e-6)
-    return last, "" if abs(last - before) < STEADY_TOLERANCE * scale else "not steady"
+    return last, "" if spread < STEADY_TOLERANCE * scale else "not steady"
 
 
 def interpolate_crossing(values: FloatArray, limit: float, of: FloatArray) -> float:

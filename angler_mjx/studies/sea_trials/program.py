@@ -81,6 +81,13 @@ class TrialMotion:
         pitch: FloatArray = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
         return pitch
 
+    @property
+    def tilt_rad(self) -> FloatArray:
+        """Angle [T] between the vehicle's z and the world's."""
+        _, x, y, _ = self.q.T
+        tilt: FloatArray = np.arccos(np.clip(1 - 2 * (x * x + y * y), -1.0, 1.0))
+        return tilt
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)

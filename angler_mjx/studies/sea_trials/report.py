@@ -2,6 +2,7 @@
 
 import csv
 import math
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -57,21 +58,37 @@ def write_table(check: VehicleCheck, path: Path) -> None:
 
 def plot_check(check: VehicleCheck) -> Figure:
     """Plot turning circles, zig-zags, the spiral, stops, and decays; panels of what was done."""
-    subtitle = f"parameter set {check.parameter_set}, open-loop commands, still water"
+    held = ", roll and pitch held" if check.level else ""
+    subtitle = f"parameter set {check.parameter_set}, open-loop commands, still water{held}"
     with style.titled_figure(10.0, 6.4, f"Sea trials of {check.vehicle}", subtitle) as figure:
         panels = figure.subplots(2, 3).ravel()
-        for axes, plot in zip(
+        for axes, (plot, word) in zip(
             panels,
-            (_plot_turns, _plot_zigzags, _plot_spiral, _plot_stops, _plot_speeds, _plot_decays),
+            (
+                (_plot_turns, "circle"),
+                (_plot_zigzags, "zig-zag"),
+                (_plot_spiral, "spiral"),
+                (_plot_stops, "stop"),
+                (_plot_speeds, "surge"),
+                (_plot_decays, "decay"),
+            ),
             strict=True,
         ):
             plot(axes, check)
             if not axes.lines:
-                axes.text(0.5, 0.5, "not done", ha="center", va="center", color=style.QUIET)
+                axes.text(
+                    0.5, 0.5, _find_reason(check, word), ha="center", va="center", color=style.QUIET
+                )
                 axes.set_axis_off()
             elif axes.get_legend_handles_labels()[0]:
                 axes.legend(fontsize="x-small")
     return figure
+
+
+def _find_reason(check: VehicleCheck, word: str) -> str:
+    """Return the text of an empty panel: why trials with a word in their name were not done."""
+    reasons = [reason for trial, reason in check.left_out.items() if word in trial]
+    return "\n".join(["not done", *(textwrap.wrap(reasons[0], 40) if reasons else [])])
 
 
 def _plot_turns(axes: Axes, check: VehicleCheck) -> None:

@@ -47,12 +47,45 @@ class RefereeHull:
 
 @dataclass(frozen=True, kw_only=True)
 class ThrusterPower:
-    """Power of a thruster by its voltage."""
+    """Power of the thrusters by their voltage."""
 
     voltage_v: Floats
     """[v]."""
+    pwm_us: Floats
+    """[n] rows of the thruster file."""
+    thrust_n: Floats
+    """[n, v]."""
     power_w: Floats
-    """[n, v]; n as the signals."""
+    """[n, v]."""
+    curves: tuple[tuple[Floats, Floats] | None, ...]
+    """Signals and thrusts of the curve of each thruster [t]; None where the file's hold."""
+
+    @property
+    def signal_us(self) -> Floats:
+        """Return the signals [m] of `power_at`: the file's, or those in steps of 4 us."""
+        if all(curve is None for curve in self.curves):
+            return self.pwm_us
+        return np.arange(1100.0, 1901.0, 4.0)
+
+    def power_at(self, voltage_v: float) -> Floats:
+        """Return power [m] W of all thrusters at one voltage, or [t, m] where they have curves.
+
+        Between columns of the file linear. A thruster with a curve takes what the file says at its
+        thrust; beyond the file, power grows as the 3/2 of the thrust.
+        """
+        power, thrust = (
+            _interpolate_column(self.voltage_v, table, voltage_v)
+            for table in (self.power_w, self.thrust_n)
+        )
+        if all(curve is None for curve in self.curves):
+            return power
+        rows = [
+            np.interp(self.signal_us, self.pwm_us, power)
+            if curve is None
+            else _power_of_thrust(np.interp(self.signal_us, *curve), thrust, power)
+            for curve in self.curves
+        ]
+        return np.array(rows)
 
 
 class FleetTable(TypedDict):
@@ -81,9 +114,9 @@ class RefereeRobot:
     """Possible parameter sets."""
     hull: RefereeHull
     pwm_us: Floats
-    """[n] of the thruster's table."""
+    """[n] signals of ``power_w``."""
     power_w: Floats
-    """[n] at the robot's voltage."""
+    """[n] of every thruster at the robot's voltage, or [t, n] of each."""
     alive: np.ndarray
     """bool [t] the thrusters that exist and are not dead: only they draw power."""
     thruster: ThrusterPower
@@ -94,23 +127,31 @@ class RefereeRobot:
         if variant["drawn"].get("thrust"):
             alive = alive & (np.asarray(variant["drawn"]["thrust"], float) > 0.0)
         return replace(
-            self, power_w=_power_at_voltage(self.thruster, float(variant["battery_v"])), alive=alive
+            self, power_w=self.thruster.power_at(float(variant["battery_v"])), alive=alive
         )
+
+    def _single_power(self, signals: Floats) -> Floats:
+        """Return power [..., a] W of the signals of the thrusters that are alive."""
+        if self.power_w.ndim == 1:
+            alike: Floats = np.interp(signals, self.pwm_us, self.power_w)
+            return alike
+        rows = self.power_w[self.alive]
+        each = [np.interp(signals[..., i], self.pwm_us, row) for i, row in enumerate(rows)]
+        return np.stack(each, axis=-1)
 
     def power(self, pwm_us: Floats) -> Floats:
         """Return power [...] W of signals [..., columns]; those past the thrusters are padding."""
         signals = pwm_us[..., : self.alive.size][..., self.alive]
-        total_w: Floats = np.interp(signals, self.pwm_us, self.power_w).sum(axis=-1)
+        total_w: Floats = self._single_power(signals).sum(axis=-1)
         return total_w
 
     def power_bounds(self, pwm_us: Floats, half_us: float) -> tuple[Floats, Floats]:
         """Return min and max power [...] W of signals known to ``half_us`` to either side."""
         signals = pwm_us[..., : self.alive.size][..., self.alive]
         # The table is monotonous between its points; points inside the interval count as well.
-        powers = [
-            np.interp(signals + s, self.pwm_us, self.power_w) for s in (-half_us, 0.0, half_us)
-        ]
-        for knot, power in zip(self.pwm_us, self.power_w, strict=True):
+        powers = [self._single_power(signals + s) for s in (-half_us, 0.0, half_us)]
+        knots = self.power_w if self.power_w.ndim == 1 else self.power_w[self.alive].T
+        for knot, power in zip(self.pwm_us, knots, strict=True):
             powers.append(np.where(np.abs(signals - knot) <= half_us, power, powers[1]))
         low: Floats = np.minimum.reduce(powers).sum(axis=-1)
         high: Floats = np.maximum.reduce(powers).sum(axis=-1)
@@ -136,7 +177,10 @@ def read_robot(entry: FleetTable, copies: Mapping[str, Path]) -> RefereeRobot:
         )
         thruster = ThrusterPower(
             voltage_v=np.asarray(table["voltage_v"], float),
+            pwm_us=np.asarray(table["pwm_us"], float),
+            thrust_n=np.asarray(table["thrust_n"], float),
             power_w=np.asarray(table["power_w"], float),
+            curves=tuple(map(_read_curve, file["thrusters"]["layout"])),
         )
         centre = np.asarray(file["base"]["center_of_mass_m"], float)
         capsules = file["hull"]["capsules"]
@@ -152,8 +196,8 @@ def read_robot(entry: FleetTable, copies: Mapping[str, Path]) -> RefereeRobot:
                 r_m=np.array([item["radius_m"] for item in capsules], float),
                 arm=read_arm(file),
             ),
-            pwm_us=np.asarray(table["pwm_us"], float),
-            power_w=_power_at_voltage(thruster, float(entry["battery_v"])),
+            pwm_us=thruster.signal_us,
+            power_w=thruster.power_at(float(entry["battery_v"])),
             alive=np.array([health.get(name, 1.0) > 0.0 for name in names]),
             thruster=thruster,
         )
@@ -162,9 +206,34 @@ def read_robot(entry: FleetTable, copies: Mapping[str, Path]) -> RefereeRobot:
         raise ConfigError(f"{path}: the referee cannot use it: {message}") from error
 
 
-def _power_at_voltage(thruster: ThrusterPower, voltage_v: float) -> Floats:
-    """Return power [n] W at one voltage, interpolated linearly between the two nearest columns."""
-    volts, power = thruster.voltage_v, thruster.power_w
+def _read_curve(thruster: Mapping[str, Any]) -> tuple[Floats, Floats] | None:
+    curve = thruster.get("curve")
+    if curve is None:
+        return None
+    return np.asarray(curve["pwm_us"], float), np.asarray(curve["thrust_n"], float)
+
+
+def _power_of_thrust(thrust_n: Floats, file_n: Floats, file_w: Floats) -> Floats:
+    """Return the power [m] W at thrusts [m] N by rows [n] of a file, whose thrust never falls."""
+    result = np.empty_like(thrust_n)
+    for i, thrust in enumerate(thrust_n):
+        low, high = file_n[0], file_n[-1]
+        if thrust < low:
+            result[i] = file_w[0] * (thrust / low) ** 1.5
+        elif thrust > high:
+            result[i] = file_w[-1] * (thrust / high) ** 1.5
+        elif np.any(file_n == thrust):
+            result[i] = file_w[file_n == thrust].min()
+        else:
+            right = int(np.argmax(file_n > thrust))
+            left_n, right_n = file_n[right - 1], file_n[right]
+            left_w, right_w = (file_w[file_n == end].min() for end in (left_n, right_n))
+            result[i] = left_w + (right_w - left_w) * (thrust - left_n) / (right_n - left_n)
+    return result
+
+
+def _interpolate_column(volts: Floats, power: Floats, voltage_v: float) -> Floats:
+    """Return values [n] at one voltage, interpolated linearly between the two nearest columns."""
     if not volts[0] <= voltage_v <= volts[-1]:
         raise ValueError(f"battery_v = {voltage_v:g}: its thruster's table ends before")
     right = int(np.clip(np.searchsorted(volts, voltage_v), 1, volts.size - 1))

@@ -19,6 +19,8 @@ from angler_kernels.lanes.trees import Elements
 
 TABLE_MIN_ROWS = 16
 """Arrays of one body with more rows than this stay in memory and are read by the entry."""
+TABLE_MIN_COLUMNS = 64
+"""And so do arrays with two axes and more columns than this: a table for each of some parts."""
 
 type StoreFunction = Callable[[jax.Array, jax.Array], None]
 """Stores values at indices of a flat array."""
@@ -26,7 +28,8 @@ type StoreFunction = Callable[[jax.Array, jax.Array], None]
 
 def is_table(tail: tuple[int, ...]) -> bool:
     """Return whether an array [...] of one body is read from memory by the entry."""
-    return len(tail) > 0 and tail[0] > TABLE_MIN_ROWS
+    is_wide = len(tail) == 2 and tail[1] > TABLE_MIN_COLUMNS
+    return len(tail) > 0 and (tail[0] > TABLE_MIN_ROWS or is_wide)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -82,14 +82,26 @@ def _select_element(source: np.ndarray, position: Sequence[LaneValue]) -> LaneVa
 
 
 def _apply_gather(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[np.ndarray]:
-    """Return entries of a table [n], one for each index: a look-up under ``vmap``."""
+    """Return entries of a table [n], one for each index, or of rows of a table [r, n], one of each.
+
+    These are look-ups under ``vmap``.
+    """
     source, indices = operands[0], read_elements(operands[1])
     shape = aval_of(eqn.outvars[0]).shape
-    if not isinstance(source, LookupTable) or eqn.params["slice_sizes"] != (1,):
+    numbers = eqn.params["dimension_numbers"]
+    is_by_row = (
+        isinstance(source, LookupTable)
+        and eqn.params["slice_sizes"] == (1, 1)
+        and tuple(numbers.operand_batching_dims) == (0,)
+        and tuple(numbers.start_indices_batching_dims) == (0,)
+        and indices.size == source.shape[0]
+    )
+    is_alike = isinstance(source, LookupTable) and eqn.params["slice_sizes"] == (1,)
+    if not is_alike and not is_by_row:
         raise UnsupportedOperationError(eqn, "gather only looks up single entries of a Table")
     out = np.empty(indices.size, object)
     for i, at in enumerate(indices.ravel()):
-        out[i] = source.take([at])
+        out[i] = source.take([i, at] if is_by_row else [at])
     return [out.reshape(shape)]
 
 

@@ -1,5 +1,7 @@
 """Teams of problems: hulls and radii of robots with arms."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,8 @@ import pytest
 
 from angler_mjx.planning.build_problem import build_team
 from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.drive import wrench_matrix
+from angler_mjx.robot.vehicles.thrusters import tables_at
 from angler_mjx.sim import fleet
 from angler_mjx.sim.fleet import Member, Variant
 
@@ -73,3 +77,33 @@ def test_a_robot_without_arms_keeps_hull_and_radius():
     rows = {tuple(row) for row in np.concatenate(capsules, axis=1).tolist()}
     own = (alone.capsule_a_m[0], alone.capsule_b_m[0], alone.capsule_r_m[0][:, None])
     assert rows == {tuple(row) for row in np.concatenate(own, axis=1).tolist()}
+
+
+def test_power_is_that_of_each_thruster_s_curve(tmp_path):
+    """Surge at constant speeds: drag by the pseudo-inverse, at the power of equal thrust."""
+    text = library.locate_vehicle("bluerov2_heavy").read_text(encoding="utf-8")
+    curve = "curve = { pwm_us = [1100, 1500, 1900], thrust_n = [-20.0, 0.0, 90.0] }"
+    text, count = re.subn(r"(spin = -?1) \}", rf"\1, {curve} }}", text, count=1)
+    assert count == 1
+    path = tmp_path / "odd.toml"
+    path.write_text(text)
+    config = library.load_vehicle(str(path))
+    both = team(str(path), "bluerov2_heavy")
+    damping = config.find_set("von_benzon2022").damping
+    matrix = wrench_matrix(config)
+    file_n, file_w = tables_at(library.load_thruster("t200"), 16.0)
+    for i, curved in ((0, True), (1, False)):
+        speeds = float(both.terminal_speed_mps[i, 0]) * np.linspace(0, 1, both.power_w.shape[-1])
+        for k in (2, 4):  # at which no thruster is at its end
+            v = speeds[k]
+            drag = (damping.linear_diagonal[0] + damping.quadratic_diagonal[0] * v) * v
+            thrust = np.linalg.pinv(matrix) @ [drag, 0, 0, 0, 0, 0]
+            power = [np.interp(f, file_n, file_w) for f in thrust]
+            if curved:
+                # The file's power at the thrusts of signals 4 us apart, and lines between.
+                step = 0.2 if thrust[0] < 0 else 0.9
+                low = step * np.floor(thrust[0] / step)
+                ends = np.interp([low, low + step], file_n, file_w)
+                power[0] = ends[0] + (ends[1] - ends[0]) * (thrust[0] - low) / step
+            assert float(both.power_w[i, 0, k]) == pytest.approx(sum(power), rel=1e-3)
+    assert both.terminal_speed_mps[0, 0] != both.terminal_speed_mps[1, 0]

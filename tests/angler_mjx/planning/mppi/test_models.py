@@ -13,6 +13,7 @@ from angler_mjx.robot.control import allocation
 from angler_mjx.robot.control.commands import Estimate
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.params import build_vehicle, stack_vehicles
 
 YAW, DENSITY, GRAVITY, DT, RESPONSE = 0.7, 1025.0, 9.81, 0.1, 0.3
@@ -158,3 +159,32 @@ def test_the_wrench_returns_to_the_heading_with_critical_damping(params):
     inertia = float(params.vehicle.inertia_kgm2[2, 2] + params.vehicle.M_A[5, 5])
     expected = inertia * (k**2 * 2.0 * np.sin(error / 2.0) - 2.0 * k * rate)
     assert moment(k) - moment(0.0) == pytest.approx(expected, rel=1e-4)
+
+
+def test_thrusters_that_differ_are_cut_at_their_own_ends():
+    """One thruster of at most 6 N, weaker astern, in the column of surge: it bounds the force."""
+    data = library.load_vehicle("bluerov2_heavy").model_dump()
+    curve = {"pwm_us": [1100, 1500, 1900], "thrust_n": [-6.0, 0.0, 9.0]}
+    data["thrusters"]["layout"][2]["curve"] = curve
+    weak = VehicleConfig.model_validate(data)
+    vehicles = stack_vehicles([build_vehicle(weak, "wu2018", 16.0)])
+    both = ControlParams(
+        vehicle=vehicles,
+        allocation=allocation.build_allocation(vehicles),
+        cruise_speed_mps=jnp.array([0.5]),
+    )
+    params = jax.tree.map(lambda leaf: leaf[0], both)
+    hull = drag.build_drag_hull(params, jnp.asarray(YAW), DENSITY, GRAVITY)
+    strong = float(min(vehicles.thrust_n[0, 0, -1], -vehicles.thrust_n[0, 0, 0]))
+    limit = np.full(8, strong)
+    limit[2] = 6.0
+    demand = np.array([[500.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 300.0]]).T
+    force, thrust = (np.asarray(x) for x in drag.allocate_thrust(hull, jnp.asarray(demand)))
+    assert np.all(np.abs(thrust) <= limit[:, None] * (1 + 1e-5))
+    # Surge is cut to the weak thruster's end; a small demand is met, and heave runs without it.
+    per_newton = np.asarray(hull.thrusters)
+    assert force[0, 0] == pytest.approx(6.0 / abs(per_newton[2, 0]), rel=1e-4)
+    np.testing.assert_allclose(force[:, 1], demand[:, 1], rtol=1e-5)
+    assert force[2, 2] == pytest.approx(
+        min(strong / np.abs(per_newton[:, 2]).max(), 300.0), rel=1e-4
+    )

@@ -60,8 +60,11 @@ def test_bodies_and_thrusters(seal):
     # The default pushes along z of the site, which 90 degrees about y turn to x.
     assert second["direction"] == pytest.approx([1, 0, 0], abs=1e-9)
     assert made.table["rotor"]["lag"]["time_constant_s"] == 0.08
-    assert made.noted("dropped", "-10 N, 20 N")
-    assert made.noted("dropped", "-20 N, 40 N")
+    assert made.noted("converted", "-10 N, 20 N")
+    # The control of -10 to 20 times the gear, 1 of the first and 2 of the second.
+    limited = [row["curve"]["thrust_n"] for row in (first, second)]
+    assert [(min(row), max(row)) for row in limited] == [(-10.0, 20.0), (-20.0, 40.0)]
+    assert made.noted("converted", "-20 N, 40 N")
     assert made.noted("dropped", "reaction torque")
 
 

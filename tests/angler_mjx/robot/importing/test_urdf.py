@@ -7,6 +7,11 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.robot.importing.import_vehicle import import_vehicle
+from angler_mjx.robot.vehicles.damping import damping_wrench
+from angler_mjx.robot.vehicles.library import load_thruster, load_vehicle
+from angler_mjx.robot.vehicles.params import build_vehicle
+from angler_mjx.robot.vehicles.thrusters import PWM_GRID_US, tables_at
 
 from .written import hydrodynamics, line_of, robot, thruster
 
@@ -57,6 +62,38 @@ def test_a_massless_root_may_carry_the_water(bring):
     assert made.noted("assumed", "damping acts at the centre of mass")
 
 
+def test_a_vehicle_that_rests_tilted_is_listed(bring):
+    """6 kg 0.1 m ahead of a neutral box of 12 kg hang its nose down."""
+    weight = """
+      <link name="camera"><inertial><mass value="6"/></inertial></link>
+      <joint name="mount" type="fixed"><parent link="base_link"/><child link="camera"/>
+        <origin xyz="0.1 0 -0.1"/></joint>"""
+    made = bring(robot(weight))
+    ahead, below = 0.1 * 6 / 18, 0.1 * 6 / 18  # of the centre of mass, from that of the box
+    pitch = np.degrees(np.arctan2(ahead, below))
+    assert made.noted("assumed", f"a roll of 0 and a pitch of {pitch:.0f} degrees")
+    assert not bring(robot(weight.replace("0.1 0 -0.1", "0 0 -0.1"))).noted("assumed", "a roll of")
+
+
+def test_visuals_have_the_colours_of_their_materials(bring):
+    shape = "<visual><geometry><sphere radius='0.1'/></geometry>{}</visual>"
+    texts = (
+        "<material name='red'><color rgba='1 0 0 1'/></material>",
+        "<material name='red'/>",
+        "<material name='blue'/>",
+        "",
+    )
+    link = f"<link name='balls'>{''.join(shape.format(text) for text in texts)}</link>"
+    joint = (
+        """<joint name="fix" type="fixed"><parent link="base_link"/><child link="balls"/></joint>"""
+    )
+    blue = '<material name="blue"><color rgba="0 0 1 0.5"/></material>'
+    made = bring(robot(link, joint, blue))
+    colors = [tuple(shape["rgba"]) for shape in made.table["visual"]["shapes"]]
+    assert colors == [(1, 0, 0, 1), (1, 0, 0, 1), (0, 0, 1, 0.5), (0.5, 0.55, 0.6, 1)]
+    assert not made.noted("dropped", "material")
+
+
 def test_derivatives_of_gazebo_become_positive(bring):
     made = bring(robot(hydrodynamics(**FULL)))
     assert made.numbers["added_mass"]["coefficients"] == [5, 9, 13, 0.1, 0.2, 0.3]
@@ -66,16 +103,56 @@ def test_derivatives_of_gazebo_become_positive(bring):
 
 
 def test_cross_terms_and_signs_are_listed_by_name(bring):
-    text = robot(hydrodynamics(**FULL, xVabsV=-3, yR=-2, xDotQ=-0.1, mDotU=-0.1, zWW=-2))
+    text = robot(hydrodynamics(**FULL, xVabsU=-3, yR=-2, xDotQ=-0.1, mDotU=-0.1, zWW=-2))
     text = text.replace("<xU>-4<", "<xU>4<")
     made = bring(text)
-    assert made.noted("dropped", "<xVabsV> = -3", f"rov.urdf:{line_of(text, '<xVabsV>')}")
-    assert made.noted("dropped", "<yR> = -2")
+    assert made.noted("dropped", "<xVabsU> = -3", f"rov.urdf:{line_of(text, '<xVabsU>')}")
+    # Its symmetric part with yV = -6 and nR = -0.1 is not definite.
+    assert made.noted("dropped", "linear damping <yR>", "still water would drive")
     assert made.noted("assumed", "<xU> = 4 is positive")
     assert made.noted("converted", "<zWW> = -2 has no absolute value")
     assert made.numbers["damping"]["linear"][0] == 4
     assert made.numbers["damping"]["quadratic"][2] == 82
     assert made.numbers["added_mass"]["coefficients"][0][4] == 0.1
+
+
+MIXED = {
+    "xV": -0.5,
+    "nV": 0.3,
+    "xVabsV": -3,
+    "nVabsV": 2,
+    "yUV": -7,
+    "yVU": -2,
+    "mUW": 4,
+    "zQQ": 1.5,
+}
+
+
+def test_cross_terms_of_gazebo_make_the_same_force(bring, tmp_path):
+    """Force i is the sum of lin_ij v_j, abs_ijk v_j |v_k| and quad_ijk v_j v_k."""
+    bring(robot(hydrodynamics(**FULL, **MIXED)))
+    made = import_vehicle(tmp_path / "rov.urdf", "t200")
+    (tmp_path / "made.toml").write_text(made.text)
+    params = build_vehicle(load_vehicle(str(tmp_path / "made.toml")), None, 16.0)
+    rng = np.random.default_rng(0)
+    for nu in rng.uniform(-2, 2, (20, 6)):
+        force = np.zeros(6)
+        for key, value in (FULL | MIXED).items():
+            if "Dot" in key:
+                continue
+            first, *rest = [nu["UVWPQR".index(letter)] for letter in key[1:] if letter.isupper()]
+            factor = first * (abs(rest[0]) if "abs" in key else rest[0]) if rest else first
+            force["xyzkmn".index(key[0])] += value * factor
+        np.testing.assert_allclose(damping_wrench(params, nu), force, rtol=2e-5, atol=1e-4)
+
+
+def test_products_of_a_turned_link_are_dropped(bring):
+    root = """<link name="water"/>
+      <joint name="fix" type="fixed"><parent link="base_link"/><child link="water"/>
+      <origin rpy="0 0 1.5707963267948966"/></joint>"""
+    made = bring(robot(root, hydrodynamics("water", **FULL, yUV=-7)))
+    assert made.noted("dropped", "Y_uv = -7", "turned")
+    assert "products" not in made.numbers["damping"]
 
 
 def test_what_the_plugin_leaves_out_is_named(bring):
@@ -128,6 +205,13 @@ def test_thrusters_of_plugins_have_spin_and_limits(bring):
     assert row["spin"] == -1
     assert made.noted("dropped", "900 N", "t200")
     assert made.noted("dropped", "thruster_2_joint", "no plugin")
+    limits = "<max_thrust_cmd>20</max_thrust_cmd><min_thrust_cmd>-6</min_thrust_cmd>"
+    cut = bring(robot(plugin.replace("<max_thrust_cmd>900</max_thrust_cmd>", limits)))
+    (row,) = cut.table["thrusters"]["layout"]
+    thrust_n, _ = tables_at(load_thruster("t200"), 16.0)
+    expected = np.clip(np.interp(row["curve"]["pwm_us"], PWM_GRID_US, thrust_n), -6.0, 20.0)
+    assert row["curve"]["thrust_n"] == pytest.approx(expected, abs=1e-4)
+    assert cut.noted("converted", "-6 N, 20 N")
 
 
 def test_unknown_elements_and_attributes_are_listed_with_their_lines(bring):

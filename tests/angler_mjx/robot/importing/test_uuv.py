@@ -227,3 +227,89 @@ def test_a_bad_yaml_is_one_message(ray, tmp_path, text, part):
         ray(yaml=[path])
     assert "bad.yaml" in str(error.value)
     assert "\n" not in str(error.value)
+
+
+BASIC = "<conversion><type>Basic</type><rotorConstant>0.0003</rotorConstant></conversion>"
+
+
+def converting(text, more=""):
+    """Change the conversion of all thrusters."""
+    files = {"snippets.xacro": SNIPPETS.replace(BASIC, text + more)}
+    assert files["snippets.xacro"] != SNIPPETS or text == BASIC
+    return files
+
+
+def curves_of(made):
+    return [
+        np.array([row["curve"]["pwm_us"], row["curve"]["thrust_n"]])
+        for row in made.table["thrusters"]["layout"]
+    ]
+
+
+@pytest.fixture
+def convert(bring):
+    def convert(text, more=""):
+        added = "\n".join(" ".join(map(str, row)) for row in ADDED)
+        return bring(ROBOT.replace("ADDED", added), "ray.xacro", files=converting(text, more))
+
+    return convert
+
+
+def test_a_basic_conversion_is_a_parabola_between_the_limits_of_the_command(convert):
+    made = convert(BASIC, "<clampMin>-200</clampMin><clampMax>300</clampMax>")
+    for pwm, thrust in curves_of(made):
+        assert thrust[pwm == 1900] == pytest.approx(0.0003 * 300**2)
+        assert thrust[pwm == 1700] == pytest.approx(0.0003 * 150**2)
+        assert thrust[pwm == 1500] == 0.0
+        assert thrust[pwm == 1300] == pytest.approx(-0.0003 * 100**2)
+        assert thrust[pwm == 1100] == pytest.approx(-0.0003 * 200**2)
+    assert made.noted("converted", "rotorConstant = 0.0003")
+
+
+def test_gain_efficiencies_and_limits_of_thrust_count(convert):
+    more = """<clampMin>-100</clampMin><clampMax>100</clampMax><gain>2</gain>
+      <propeller_efficiency>0.5</propeller_efficiency><thrust_efficiency>0.8</thrust_efficiency>
+      <thrustMax>1.5</thrustMax><thrustMin>-10</thrustMin>"""
+    pwm, thrust = curves_of(convert(BASIC, more))[0]
+    assert thrust[pwm == 1900] == 1.5
+    assert thrust[pwm == 1700] == pytest.approx(0.8 * 0.0003 * 50**2)
+    assert thrust[pwm == 1100] == pytest.approx(-0.8 * 0.0003 * 100**2)
+
+
+def test_bessa_has_a_dead_band(convert):
+    text = """<conversion><type>Bessa</type><rotorConstantL>0.002</rotorConstantL>
+      <rotorConstantR>0.003</rotorConstantR><deltaL>-400</deltaL><deltaR>900</deltaR></conversion>"""
+    pwm, thrust = curves_of(convert(text, "<clampMin>-100</clampMin><clampMax>100</clampMax>"))[0]
+    assert thrust[pwm == 1900] == pytest.approx(0.003 * (100**2 - 900))
+    assert thrust[pwm == 1600] == 0.0  # a command of 25: its square is below 900
+    assert thrust[pwm == 1400] == pytest.approx(-0.002 * (25**2 - 400))
+    assert thrust[pwm == 1100] == pytest.approx(-0.002 * (100**2 - 400))
+
+
+def test_a_table_ends_at_its_points(convert):
+    text = """<conversion><type>LinearInterp</type><inputValues>20 -10 0</inputValues>
+      <outputValues>60 -8 0</outputValues></conversion>"""
+    pwm, thrust = curves_of(convert(text))[0]
+    assert thrust[pwm == 1900] == 60.0
+    assert thrust[pwm == 1700] == 30.0
+    assert thrust[pwm == 1300] == -4.0
+    assert thrust[pwm == 1100] == -8.0
+
+
+@pytest.mark.parametrize(
+    ("text", "more", "reason"),
+    [
+        (BASIC, "", "clampMin and clampMax below and above 0 are not stated"),
+        (BASIC, "<clampMin>0</clampMin><clampMax>9</clampMax>", "below and above 0"),
+        (BASIC.replace("Basic", "Cubic"), "<clampMin>-9</clampMin><clampMax>9</clampMax>", "type"),
+        (
+            BASIC.replace("0.0003", "-1"),
+            "<clampMin>-9</clampMin><clampMax>9</clampMax>",
+            "does not rise",
+        ),
+    ],
+)
+def test_conversions_that_say_too_little_are_listed(convert, text, more, reason):
+    made = convert(text, more)
+    assert all("curve" not in row for row in made.table["thrusters"]["layout"])
+    assert made.noted("dropped", reason)

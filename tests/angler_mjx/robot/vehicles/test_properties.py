@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from angler_mjx.robot.vehicles.library import load_vehicle
-from angler_mjx.robot.vehicles.properties import describe_vehicle
+from angler_mjx.robot.vehicles.properties import compute_trim_rad, describe_vehicle
 
 
 def test_wu_is_two_newtons_light():
@@ -62,3 +62,17 @@ def test_speed_time_constant_is_the_decay_rate_at_terminal_speed():
     slope = (acceleration(v + 1e-6) - acceleration(v - 1e-6)) / 2e-6
     # Central difference with step 1e-6: rounding of about 1e-9 relative.
     assert facts.speed_time_constant_s[0] == pytest.approx(-1 / slope, rel=1e-6)
+
+
+@pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.3, 0.0), (0.0, -0.4), (-2.5, 0.7)])
+def test_the_trim_puts_buoyancy_above_weight(roll, pitch):
+    """F to W by roll, then pitch: the arm of buoyancy is upright at rest."""
+    about_x = [[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]]
+    about_y = [[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]]
+    arm = (np.array(about_y) @ np.array(about_x)).T @ [0.0, 0.0, 0.02]
+    assert compute_trim_rad(arm) == pytest.approx((roll, pitch))
+
+
+def test_a_vehicle_without_an_arm_has_no_trim():
+    assert compute_trim_rad(np.zeros(3)) is None
+    assert describe_vehicle(load_vehicle("otter"), None, 16.0).trim_rad is None

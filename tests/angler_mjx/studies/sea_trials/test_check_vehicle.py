@@ -368,6 +368,72 @@ def test_an_overdamped_decay_has_no_period(tmp_path):
 # ---------------------------------------------------------------- what a vehicle cannot do
 
 
+@pytest.mark.parametrize(("factor", "tumbles"), [(0.6, False), (1.6, True)])
+def test_a_vehicle_tumbles_above_the_speed_at_which_munk_moment_passes_righting(
+    tmp_path, factor, tumbles
+):
+    """Level flight with way on is held while (A_z - A_x) u^2 is below rho g V z_b."""
+    a_z = 80.0
+    limit = math.sqrt(9.81 * M * ARM_M / (a_z - ADDED))
+    speed = factor * limit
+    drag = LINEAR[0] * speed + QUADRATIC[0] * speed * speed
+    config = build(
+        tmp_path,
+        added=(ADDED, ADDED, a_z, ADDED_X, 0.1, ADDED_Z),
+        linear=(*LINEAR[:2], 1.0, *LINEAR[3:]),
+        quadratic=(*QUADRATIC[:2], 1.0, *QUADRATIC[3:]),
+        volume=1.002 * M / 1000.0,  # rises slowly: something has to turn it first
+    )
+    push, _ = wrench_of(config, build_actuators(config, 16.0).push("surge", 1))
+    settings = TrialSettings(approach=drag / push[0])
+    result = check_vehicle(config, settings=settings, only=["coasting"])
+    assert ("coasting stop" in result.left_out) == tumbles
+    assert ("coasting stop" in result.motions) == (not tumbles)
+    if tumbles:
+        assert result.left_out["coasting stop"].startswith("tumbles")
+        assert "--approach" in result.left_out["coasting stop"]
+    else:
+        assert 0.5 * limit < value(result, "coasting stop", "approach speed") < limit
+
+
+def test_a_held_vehicle_does_not_tumble(tmp_path):
+    """At a speed at which it would: the drag balance is that of surge alone."""
+    added = (ADDED, ADDED, 80.0, ADDED_X, 0.1, ADDED_Z)
+    config = build(tmp_path, added=added, arm=0.002, volume=1.002 * M / 1000.0)
+    only = ["surge ahead", "roll"]
+    assert "surge ahead" in check_vehicle(config, only=only).left_out
+    held = check_vehicle(config, settings=TrialSettings(level=True), only=only)
+    assert held.left_out == {"roll decay": "held by --level"}
+    reverse, forward = thrust_limits(config)
+    expected = balance(2 * R * (forward - reverse), LINEAR[0], QUADRATIC[0])
+    assert value(held, "surge ahead", "terminal speed") == pytest.approx(expected, rel=2e-3)
+
+
+def test_the_spiral_is_one_trial_that_is_left_out_whole(tmp_path):
+    added = (ADDED, ADDED, 80.0, ADDED_X, 0.1, ADDED_Z)
+    config = build(tmp_path, added=added, arm=0.002, volume=1.002 * M / 1000.0)
+    result = check_vehicle(config, only=["spiral", "heave up"])
+    assert set(result.left_out) == {"spiral"}
+    assert {measure.trial for measure in result.measures} == {"heave up"}
+    assert not result.spiral.size
+
+
+def test_a_value_that_swings_is_not_steady():
+    """Twenty whole swings in either half of the end: their means are equal."""
+    time_s = np.arange(2000)
+    swing = 1.0 + 0.1 * np.sin(2 * np.pi * time_s / 5)
+    assert measures.average_end(swing) == (pytest.approx(1.0), "not steady")
+    small = 1.0 + 0.001 * np.sin(2 * np.pi * time_s / 5)
+    assert measures.average_end(small) == (pytest.approx(1.0), "")
+
+
+def test_a_planar_vehicle_is_held(tmp_path):
+    config = load_vehicle("otter")
+    result = check_vehicle(config, only=["heave", "roll", "pitch", "surge ahead"])
+    held = ("heave up", "heave down", "roll decay", "pitch decay")
+    assert result.left_out == dict.fromkeys(held, "held: the vehicle is planar")
+
+
 def test_a_torpedo_steers_with_what_it_has(tmp_path):
     """A thruster across the stern is a rudder: it turns the vehicle along with a sway."""
     only = ["sway", "heave", "turning", "surge"]
