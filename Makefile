@@ -4,7 +4,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-EXTRAS := view,video,plan,sitl,live,tune,learn,export,ocean,dev
+EXTRAS := view,video,plan,sitl,live,tune,learn,export,ocean,docs,dev
 CODE := angler_mjx kernels sitl_bridge experiments tests tools
 
 # Compiled programs survive the process and the checkout, in the folder that `angler` uses too.
@@ -18,7 +18,7 @@ export UV_PYTHON_DOWNLOADS := never
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test fuzz fuzz-sim mutants gpu-check lint types imports format clean
+.PHONY: help venv demo test fuzz fuzz-sim mutants gpu-check site lint types imports format clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 17
@@ -67,6 +67,10 @@ mutants: $(STAMP)  ## put small faults into the code and see whether tests find 
 # In parts of eight minutes: call it again until none is unfinished. See docs/how_to/gpu_check.md.
 gpu-check: $(STAMP)  ## compare engines, kernels, policies and rates on a GPU with the CPU
 	$(BIN)/python -m tools.gpu_check $(GPU_CHECK_ARGS)
+
+# SITE_ARGS="--films runs/gallery" shows the films of `angler gallery`. See CONTRIBUTING.md.
+site: $(STAMP)  ## build the documentation's site into build/site, and check it
+	JAX_PLATFORMS=cpu $(BIN)/python -m tools.site $(SITE_ARGS)
 
 lint: $(STAMP)  ## check style and formatting
 	$(BIN)/ruff check $(CODE)

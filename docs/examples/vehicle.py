@@ -1,0 +1,45 @@
+"""Fly a vehicle of your own: a changed file of a shipped one, beside the shipped one.
+
+A vehicle is a TOML file (docs/generated/vehicle.md); `angler vehicle show FILE` prints what it says
+about mass, thrust and terminal speeds.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+import angler_mjx as angler
+from angler_mjx.robot.vehicles import library
+
+
+def write_vehicle(path: Path) -> None:
+    """Write a BlueROV2 Heavy with a battery box below it: heavier, and its weight lower."""
+    text = library.locate_vehicle("bluerov2_heavy").read_text(encoding="utf-8")
+    text = text.replace('name = "bluerov2_heavy"', 'name = "heavier"', 1)
+    path.write_text(text.replace("mass_kg = 13.5", "mass_kg = 15.5"), encoding="utf-8")
+
+
+def main(folder: Path = Path(".")) -> dict[str, float]:
+    """Return how far [m] each vehicle has come after 10 s."""
+    file = folder / "heavier.toml"
+    write_vehicle(file)
+    moved_m = {}
+    for vehicle in ("bluerov2_heavy", str(file)):
+        fleet = [{"vehicle": vehicle, "count": 2, "parameter_set": "von_benzon2022"}]
+        scenario = angler.load_scenario(
+            "open_water_current", worlds=4, tile=4, fleet=fleet, time={"horizon_s": 10.0}
+        )
+        simulator = angler.Simulator(scenario)
+        worlds = simulator.worlds(seed=3)
+        state = simulator.reset(worlds)
+        start_m = np.array(state.vehicles.p)  # a copy: segments reuse the state's memory
+        for _ in range(simulator.segments):
+            state, _ = simulator.segment(worlds, state)
+        moved = np.linalg.norm(state.vehicles.p - start_m, axis=-1).mean()
+        moved_m[Path(vehicle).stem] = float(moved)
+        print(f"{Path(vehicle).stem}: {float(moved):.2f} m")
+    return moved_m
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Notebooks of the documentation: run in new folders, stored with their outputs."""

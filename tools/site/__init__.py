@@ -1,0 +1,1 @@
+"""Site of the documentation: menu, staged pages, build by Sphinx, checks of the result."""
