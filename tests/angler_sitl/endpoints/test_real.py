@@ -17,7 +17,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 from rosbags.typesys import Stores, get_typestore
 
-from angler_mjx.runs.storage.folder import open_run
+from angler_mjx.runs.storage.folder import Run
 
 from ..external import ExternalArduSub, Station, free_port
 
@@ -36,8 +36,8 @@ record_hz = 5.0
 preset = "open"
 depth_m = 0.0
 placement = "given"
-start_m = [[0.0, 0.0, -2.0], [3.0, 0.0, -2.0]]
-goal_m = [[0.0, 6.0, -2.0], [3.0, 6.0, -2.0]]
+start_m = STARTS
+goal_m = GOALS
 
 [[fleet]]
 vehicle = "bluerov2_heavy"
@@ -55,7 +55,12 @@ class Door:
     def __init__(self, folder, endpoints, *words, count=1):
         self.zenoh = pytest.importorskip("zenoh")
         self.folder, port = folder, free_port()
-        (folder / "pool.toml").write_text(SCENE.replace("COUNT", str(count)))
+        values = {"COUNT": count, "STARTS": [[3.0 * i, 0.0, -2.0] for i in range(count)]}
+        values["GOALS"] = [[3.0 * i, 6.0, -2.0] for i in range(count)]
+        text = SCENE
+        for word, value in values.items():
+            text = text.replace(word, str(value))
+        (folder / "pool.toml").write_text(text)
         command = [sys.executable, "-m", "angler_mjx.cli.main", "serve", "pool.toml"]
         command += ["--backend", "zenoh", "--port", str(port), "--out", "run", "--arm"]
         command += ["--endpoint", *endpoints, "--fence", FENCE, "--max-speed", "0.4", *words]
@@ -77,6 +82,11 @@ class Door:
         self._config, self.seen = config, {i: [] for i in range(count)}
 
     def __enter__(self):
+        end = time.monotonic() + START_S
+        while "armed in GUIDED" not in self.errors() and time.monotonic() < end:
+            assert self.process.poll() is None, self.errors()
+            time.sleep(0.1)
+        assert "armed in GUIDED" in self.errors()
         self.client = self.zenoh.open(self._config)
         self.types = get_typestore(Stores.ROS2_JAZZY)
         digest = self.types.hash_rihs01("geometry_msgs/msg/Twist")
@@ -88,11 +98,6 @@ class Door:
         }
         for i, seen in self.seen.items():
             self.client.declare_subscriber(f"0/robot_{i}/odometry/**", seen.append)
-        end = time.monotonic() + START_S
-        while "armed in GUIDED" not in self.errors() and time.monotonic() < end:
-            assert self.process.poll() is None, self.errors()
-            time.sleep(0.1)
-        assert "armed in GUIDED" in self.errors()
         return self
 
     def __exit__(self, *ended):
@@ -125,7 +130,7 @@ class Door:
 
     def wait(self):
         self.process.communicate(timeout=60)
-        return self.process.returncode, open_run(self.folder / "run")
+        return self.process.returncode, Run(self.folder / "run")
 
 
 @pytest.fixture
