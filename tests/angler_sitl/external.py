@@ -103,6 +103,16 @@ class Station:
                 self.peer = source
                 self.latest[message.get_type()] = message
 
+    def renew(self):
+        """Forget everything that was sent so far."""
+        self.socket.setblocking(False)
+        try:
+            while True:
+                self.socket.recvfrom(65536)
+        except BlockingIOError:
+            self.socket.settimeout(0.05)
+        self.latest.clear()
+
     def send(self, message):
         self.socket.sendto(message.pack(self.codec), self.peer)
 

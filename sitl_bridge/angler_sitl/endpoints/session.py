@@ -155,7 +155,7 @@ class EndpointSession(AutopilotSession[VehicleFleet]):
             self._was_guided = [False] * len(addresses)
             self._has_flown = [False] * len(addresses)
             self._has_begun = np.zeros(len(addresses), bool)
-            self._place_vehicles()
+            self._move_vehicles()
             self._reset_commands()
             self._begin_view()
             for robot in range(len(addresses)):
@@ -214,7 +214,7 @@ class EndpointSession(AutopilotSession[VehicleFleet]):
                     f"{ARM_MARGIN_M:g} m outside the fence {guard.fence}; nothing is armed"
                 )
         fleet.arm(chosen)
-        self._place_vehicles()
+        self._move_vehicles()
         self._view.update(fleet, self._command_queue, self._command_sender)
         for i in chosen:
             self._hold(i)
@@ -310,7 +310,7 @@ class EndpointSession(AutopilotSession[VehicleFleet]):
         )
         fleet.advance()
         self._require_all()
-        self._place_vehicles()
+        self._move_vehicles()
         scene.judge(np.array(decision.approaching)[0])
         self._begin_episodes()
         self._steps += 1
@@ -394,9 +394,9 @@ class EndpointSession(AutopilotSession[VehicleFleet]):
         if not pilot.is_guided:
             raise ConfigError(f"{pilot.name}: takes no commands, it is {pilot.note()}")
 
-    def _place_vehicles(self) -> None:
+    def _move_vehicles(self) -> None:
         motion = self._fleet.estimate_motion()
-        self._scene.place_vehicles(motion.p, motion.q, motion.nu, self._fleet.pwm)
+        self._scene.move_vehicles(motion.p, motion.q, motion.nu, self._fleet.pwm)
 
     def _stop_autopilots(self) -> None:
         """End the flight and disconnect, if that was not done."""

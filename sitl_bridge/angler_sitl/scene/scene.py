@@ -183,7 +183,7 @@ class AutopilotScene:
         self.states = SensorStates(numbers=np.asarray(self._moving[0])[:, :STATE_NUMBERS])
         return self.states
 
-    def place_vehicles(
+    def move_vehicles(
         self,
         p: NDArray[np.floating],
         q: NDArray[np.floating],

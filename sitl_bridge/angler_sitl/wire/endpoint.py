@@ -9,7 +9,7 @@ Connection strings are those of pymavlink and MAVProxy (``--master``):
 | `tcp:HOST:PORT` | connect |
 | `/dev/NAME`, `/dev/NAME,BAUD` | serial line; 115200 baud if left out |
 
-An endpoint sorts packets by the system number of their sender. A `Channel` holds those of one
+An endpoint sorts packets by the system number of their sender. A `VehicleChannel` holds those of one
 vehicle, and stands in for a socket of datagrams at its `angler_sitl.wire.link.MavlinkLink`. The
 first address that a vehicle sends from is kept: packets of that number from elsewhere are counted.
 """
@@ -246,7 +246,7 @@ class Endpoint:
         self.heard: Counter[int] = Counter()
         self.counts: Counter[str] = Counter()
         self.kinds: dict[int, MavlinkMessage] = {}
-        self._channels: dict[int, Channel] = {}
+        self._channels: dict[int, VehicleChannel] = {}
         self._sources: dict[int, Source] = {}
         self._parsers: dict[Source, dialect.MAVLink] = {}
         self._codec = dialect.MAVLink(None, srcSystem=GROUND_STATION, srcComponent=_COMPONENT)
@@ -256,9 +256,9 @@ class Endpoint:
             reason = error.strerror or str(error)
             raise ConfigError(f"--endpoint {address.text}: cannot be opened: {reason}") from error
 
-    def open_channel(self, sysid: int) -> "Channel":
+    def open_channel(self, sysid: int) -> "VehicleChannel":
         """Return the channel of a vehicle, by its system number."""
-        return self._channels.setdefault(sysid, Channel(self, sysid))
+        return self._channels.setdefault(sysid, VehicleChannel(self, sysid))
 
     def greet(self) -> None:
         """Send a heartbeat to where vehicles are expected, so that they answer to this address."""
@@ -324,7 +324,7 @@ class Endpoint:
             channel.packets.append((bytes(message.get_msgbuf()), source))
 
 
-class Channel:
+class VehicleChannel:
     """Packets of one vehicle of an endpoint, in the form of a socket of datagrams.
 
     Attributes:

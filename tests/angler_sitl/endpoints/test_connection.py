@@ -65,7 +65,7 @@ def test_a_vehicle_without_a_position_is_named(launch, reach, impatient):
     vehicle = launch()
     vehicle.blind = True
     fleet = reach()
-    with pytest.raises(RunError, match="robot_0: has no position.*EKF bad"):
+    with pytest.raises(RunError, match=r"robot_0: has no position.*EKF bad"):
         locate_fleet(fleet, None)
 
 
@@ -112,7 +112,7 @@ def test_a_vehicle_that_refuses_to_arm_says_why_and_all_are_disarmed(launch, rea
     unwilling.refuses = {mav.MAV_CMD_COMPONENT_ARM_DISARM}
     fleet = reach(2)
     locate_fleet(fleet, None)
-    with pytest.raises(RunError, match="robot_1: refuses to arm.*water in the hull"):
+    with pytest.raises(RunError, match=r"robot_1: refuses to arm.*water in the hull"):
         fleet.arm([0, 1])
     fleet.wait()
     fleet.wait()

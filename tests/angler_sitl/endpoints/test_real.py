@@ -200,7 +200,7 @@ def test_a_vehicle_without_gps_has_lost_its_position(start, tmp_path):
         other.wait(lambda: other.peer, 5.0)
         other.set_parameter("SIM_GPS1_ENABLE", 0.0)
         code, run = door.wait()
-        other.latest.clear()
+        other.renew()
         other.wait(lambda: other.latest["HEARTBEAT"], 5.0)
         assert other.latest["HEARTBEAT"].custom_mode == 2  # ALT_HOLD needs no position
     assert code == 2
@@ -217,7 +217,7 @@ def test_a_pilot_takes_over(start, tmp_path):
         door.drive(2.0, AHEAD)
         assert "takes no commands, it is MANUAL" in door.errors()
         code, run = door.end()
-        pilot.latest.clear()
+        pilot.renew()
         pilot.wait(lambda: pilot.latest["HEARTBEAT"], 5.0)
         assert pilot.latest["HEARTBEAT"].custom_mode == 19  # left alone
     assert code == 0
