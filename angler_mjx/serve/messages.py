@@ -86,11 +86,9 @@ class SceneMessages:
         if self._has_instruments:
             self._instruments.reset(internals.worlds, seed, _truth(view))
         self._energy_j = view.energy_j
-        environment, path = jax.device_get(
-            jax.tree.map(
-                lambda leaf: leaf[0], (internals.worlds.environment, internals.worlds.path)
-            )
-        )
+        # An index on the device is a program each.
+        on_host = jax.device_get((internals.worlds.environment, internals.worlds.path))
+        environment, path = jax.tree.map(lambda leaf: leaf[0], on_host)
         self._environment, self._path = environment, path
 
     def build_static(self) -> Iterator[tuple[str, Build]]:
