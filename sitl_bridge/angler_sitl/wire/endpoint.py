@@ -9,8 +9,8 @@ Connection strings are those of pymavlink and MAVProxy (``--master``):
 | `tcp:HOST:PORT` | connect |
 | `/dev/NAME`, `/dev/NAME,BAUD` | serial line; 115200 baud if left out |
 
-An endpoint sorts packets by the system number of their sender. A `VehicleChannel` holds those of one
-vehicle, and stands in for a socket of datagrams at its `angler_sitl.wire.link.MavlinkLink`. The
+An endpoint sorts packets by the system number of their sender. A `VehicleChannel` holds those of
+one vehicle, and stands in for a socket of datagrams at its `MavlinkLink`. The
 first address that a vehicle sends from is kept: packets of that number from elsewhere are counted.
 """
 
