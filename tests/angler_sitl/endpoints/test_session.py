@@ -68,9 +68,11 @@ def test_steps_keep_the_time_of_the_wall(launch, connect):
     session.step()
     began = time.perf_counter()
     run(session, 1.0)
-    late_s = time.perf_counter() - began - 1.0
-    assert late_s > -0.01
-    assert late_s < 0.1 or session.summarise()["overruns"] > 0  # on a machine that is busy
+    # Never faster; slower where the machine is busy.
+    assert time.perf_counter() - began > 0.99
+
+    times = [session.step().time_s for _ in range(3)]
+    assert np.diff(times) == pytest.approx(session.dt_s)
 
 
 def test_an_armed_robot_stays_then_follows_and_is_held_to_its_limits(launch, connect):
