@@ -42,6 +42,8 @@ from angler_sitl.scene.scenario_options import select_scenario
 from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.steering import levels
 
+STALL_S = 0.5
+"""Time without a step after which new positions are waited for."""
 REFRESH_TIMEOUT_S = 5.0
 """Time limit of new positions before arming."""
 ACTION_S = 2.0
@@ -267,6 +269,9 @@ class EndpointSession(AutopilotSession[VehicleFleet]):
         """
         self._require_open()
         if self._autopilots is not None:
+            if self._fleet.time_s - self._fleet.polled_s > STALL_S:
+                self._refresh()  # what has waited is old
+                self._fleet.restart_pace()
             self._release_taken_robots()
         return super().step(commands)
 

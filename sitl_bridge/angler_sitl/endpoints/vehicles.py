@@ -51,6 +51,7 @@ class VehicleFleet:
         addresses: their connection strings.
         endpoints: open endpoints.
         lost: reason of each lost vehicle, by its index.
+        polled_s: time of the last poll.
     """
 
     def __init__(
@@ -77,6 +78,7 @@ class VehicleFleet:
         self.addresses, self.lost = list(addresses), dict[int, str]()
         self._dt_s, self._resources = dt_s, ExitStack()
         self._clock, self._sleep, self._began_s = clock, sleep, clock()
+        self.polled_s = 0.0
         self.restart_pace()
 
     @property
@@ -108,6 +110,7 @@ class VehicleFleet:
         now_s = self.time_s
         for pilot in self.pilots:
             pilot.tick(now_s)
+        self.polled_s = now_s
         return now_s
 
     def wait(self) -> float:
