@@ -5,7 +5,7 @@ from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -18,8 +18,11 @@ from angler_mjx.errors import ConfigError
 if TYPE_CHECKING:
     from angler_mjx.serve.backends.interface import Backend
     from angler_mjx.serve.door import DoorResult
+    from angler_sitl.endpoints.session import EndpointSettings
 
 type BackendName = Literal["auto", "rclpy", "zenoh", "none"]
+
+type EndAction = Literal["hold", "surface", "disarm"]
 
 LOOPBACK = "127.0.0.1"
 
@@ -41,6 +44,16 @@ def serve(
     level: CommandLevel | None = None,
     source: PositionSource | None = None,
     ardusub: Path | None = None,
+    endpoint: tuple[str, ...] = (),
+    system_id: tuple[int, ...] = (),
+    arm: bool = False,
+    follow_plans: bool = False,
+    max_speed: float | None = None,
+    fence: str | None = None,
+    at_end: EndAction | None = None,
+    link_timeout: float | None = None,
+    position_timeout: float | None = None,
+    origin: str | None = None,
     device: Device = "cpu",
 ) -> None:
     """Serve one world to ROS 2, Zenoh and Foxglove until Ctrl-C: topics, services, actions.
@@ -70,12 +83,44 @@ def serve(
         source: With --level, the source of ArduSub's position; vision if left out.
         ardusub: With --level, the ArduSub binary; if left out, that of ANGLER_ARDUSUB, else the
             installed one.
+        endpoint: Vehicles that run already, by MAVLink connection strings as those of MAVProxy's
+            --master: udp:HOST:PORT listens; udpout:HOST:PORT, tcp:HOST:PORT, /dev/NAME,BAUD. One
+            for each robot, or one for all.
+        system_id: With --endpoint, MAVLink system number of each robot; 1 if left out, and 1, 2,
+            ... where one endpoint is for all.
+        arm: With --endpoint, arm the vehicles in GUIDED, once you have typed arm.
+        follow_plans: With --arm, robots go to their plans at once; else they stay until they
+            receive commands.
+        max_speed: With --endpoint, max speed of targets in m/s; 0.3 if left out.
+        fence: With --endpoint, box that targets stay in, XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX in m; that
+            of the world if left out.
+        at_end: With --endpoint, what vehicles are commanded at the end, and after a loss of link or
+            position: hold (POSHOLD, or ALT_HOLD without a position), surface, or disarm; hold if
+            left out.
+        link_timeout: With --endpoint, seconds without messages after which the link is lost; 2 if
+            left out.
+        position_timeout: With --endpoint, seconds without a good position after which it is lost;
+            1 if left out.
+        origin: With --endpoint, latitude and longitude of the origin of the world; that of the
+            first vehicle's filter if left out.
         device: Device to compute on.
     """
+    of_vehicles = {
+        "system-id": system_id or None,
+        "arm": arm or None,
+        "follow-plans": follow_plans or None,
+        "max-speed": max_speed,
+        "fence": fence,
+        "at-end": at_end,
+        "link-timeout": link_timeout,
+        "position-timeout": position_timeout,
+        "origin": origin,
+    }
+    _check_vehicle_flags(endpoint, of_vehicles, level=level, pace=pace)
     if level is None and (source is not None or ardusub is not None):
         flag = "source" if source is not None else "ardusub"
         raise ConfigError(f"--{flag}: only real autopilots have that; add --level")
-    if level is not None:
+    if level is not None or endpoint:
         require_sitl(isolate=False, gcs=None)
     openers = _list_openers(backend, foxglove, address, port, foxglove_port)
     choose_device(device)
@@ -96,11 +141,71 @@ def serve(
     opener: opening.SessionOpener = opening.open_simulated
     if level is not None:
         opener = real_autopilots(level=level, source=source or "vision", gcs=None, ardusub=ardusub)
+    if endpoint:
+        from angler_sitl.endpoints.opener import build_endpoint_opener
+
+        opener = build_endpoint_opener(
+            _read_settings(endpoint, system_id, of_vehicles),
+            arm=arm,
+            follow_plans=follow_plans,
+            read_line=sys.stdin.readline,
+        )
     report = partial(print, file=sys.stderr, flush=True)
     result, run = serving.serve_session(loaded, settings, openers, report, opener)
     _print_result(result)
     if run is not None:
         print(run.path)
+
+
+def _check_vehicle_flags(
+    endpoint: tuple[str, ...],
+    flags: dict[str, Any],
+    *,
+    level: CommandLevel | None,
+    pace: str,
+) -> None:
+    """Refuse flags of vehicles without an endpoint, and those that contradict one.
+
+    Raises:
+        ConfigError: naming the flag.
+    """
+    if not endpoint:
+        for flag, value in flags.items():
+            if value is not None:
+                raise ConfigError(f"--{flag}: is of vehicles that run already; add --endpoint")
+        return
+    if level is not None:
+        raise ConfigError(f"--level {level}: vehicles at endpoints are commanded in GUIDED alone")
+    if pace != "real":
+        raise ConfigError(f"--pace {pace}: vehicles at endpoints run by the clock; leave it out")
+    if flags["follow-plans"] and not flags["arm"]:
+        raise ConfigError("--follow-plans: nothing moves that is not armed; add --arm")
+
+
+def _read_settings(
+    endpoint: tuple[str, ...], system_id: tuple[int, ...], flags: dict[str, Any]
+) -> "EndpointSettings":
+    """Return the vehicles and limits of the command line."""
+    from angler_mjx.cli.shared.origin import parse_origin
+    from angler_sitl.endpoints.limits import parse_fence
+    from angler_sitl.endpoints.losses import LossLimits
+    from angler_sitl.endpoints.session import EndpointSettings
+    from angler_sitl.wire.endpoint import parse_endpoint
+
+    for text in endpoint:
+        parse_endpoint(text)
+    timeouts = {"link_s": flags["link-timeout"], "position_s": flags["position-timeout"]}
+    others = {"max_speed_mps": flags["max-speed"], "at_end": flags["at-end"]}
+    others |= {
+        "fence": None if flags["fence"] is None else parse_fence(flags["fence"]),
+        "origin": None if flags["origin"] is None else parse_origin(flags["origin"]),
+    }
+    return EndpointSettings(
+        endpoints=endpoint,
+        sysids=system_id,
+        losses=LossLimits(**{key: value for key, value in timeouts.items() if value is not None}),
+        **{key: value for key, value in others.items() if value is not None},
+    )
 
 
 def choose_backend(backend: BackendName) -> Literal["rclpy", "zenoh", "none"]:

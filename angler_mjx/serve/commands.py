@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control.commands import BodyTwist
 from angler_mjx.runs.session.interface import Session, SessionCommand
 from angler_mjx.serve import decoding
@@ -86,7 +87,7 @@ class CommandInbox:
             is_silent = inbox.twist_s is not None and time_s - inbox.twist_s > self._silence_s
             if inbox.command is None and is_silent:
                 inbox.counts["stopped"] += 1
-                inbox.command, inbox.twist_s = BodyTwist(nu=np.zeros(6)), None  # type: ignore[arg-type]
+                inbox.command, inbox.twist_s = BodyTwist(nu=as_leaf(np.zeros(6))), None
             if inbox.command is not None:
                 commands[robot], inbox.command = inbox.command, None
         return commands

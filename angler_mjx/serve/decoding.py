@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.report.interop.ros_encoding import find_decoder
 from angler_mjx.report.interop.ros_messages import NANO
 from angler_mjx.robot.control.commands import BodyTwist, ThrusterPwm
@@ -38,7 +39,7 @@ def decode_message(name: str, data: bytes) -> Any:
 def decode_twist(data: bytes) -> BodyTwist:
     """Return the velocity over ground of a ``geometry_msgs/Twist``, in F."""
     message = decode_message("geometry_msgs/Twist", data)
-    return BodyTwist(nu=np.array([*_xyz(message.linear), *_xyz(message.angular)]))  # type: ignore[arg-type]
+    return BodyTwist(nu=as_leaf(np.array([*_xyz(message.linear), *_xyz(message.angular)])))
 
 
 def decode_signals(data: bytes, thrusters: int) -> ThrusterPwm:
@@ -50,7 +51,7 @@ def decode_signals(data: bytes, thrusters: int) -> ThrusterPwm:
     signals = np.array(decode_message("std_msgs/Float64MultiArray", data).data, float)
     if signals.shape != (thrusters,):
         raise ConfigError(f"data: {signals.size} numbers for {thrusters} thrusters")
-    return ThrusterPwm(pwm_us=signals)  # type: ignore[arg-type]
+    return ThrusterPwm(pwm_us=as_leaf(signals))
 
 
 def decode_trajectory(data: bytes) -> JointGoal:

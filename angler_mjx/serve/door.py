@@ -25,6 +25,8 @@ from angler_mjx.teleop.pace import Overruns, RealTimePacer
 type Pace = Literal["max", "step"] | float
 """Steps as fast as possible, by the client alone, or at a multiple of real time."""
 
+REAL_REFUSAL = "real vehicles can be neither stopped in time nor reset"
+"""Answer to services of simulated time."""
 IDLE_S = 0.05
 """Wall time between looks at the request to stop, while the scene waits."""
 
@@ -50,6 +52,9 @@ class DoorSettings:
     """Time of the scene; no limit if None."""
     can_reset: bool = True
     """Whether clients may reset the scene; a recording has one beginning."""
+    is_real: bool = False
+    """Whether the robots are outside the simulator: clients cannot stop, step or reset them, and no
+    instruments are simulated."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,9 +114,10 @@ class Door:
             dt_s=session.dt_s,
             density_kgpm3=spec.water.density_kgpm3,
             gravity_mps2=spec.water.gravity_mps2,
+            has_instruments=not settings.is_real,
         )
         has_actions = [ACTION not in backend.missing for backend in backends]
-        published = topics.list_published(session.robots)
+        published = topics.list_published(session.robots, has_instruments=not settings.is_real)
         if any(has_actions):
             published += [
                 topic for info in session.robots for topic in topics.action_topics(info).values()
@@ -248,6 +254,9 @@ class Door:
         self._inbox.receive_twist(robot, data, self._observation.time_s)
 
     def _reset(self, _: bytes, reply: Reply) -> None:
+        if self._settings.is_real:
+            reply(services.encode_trigger(False, REAL_REFUSAL))
+            return
         if not self._settings.can_reset:
             reply(services.encode_trigger(False, "a recorded session cannot be reset"))
             return
@@ -263,6 +272,9 @@ class Door:
         reply(services.encode_trigger(True, f"seed {self._seed}"))
 
     def _pause(self, data: bytes, reply: Reply) -> None:
+        if self._settings.is_real:
+            reply(services.encode_trigger(False, REAL_REFUSAL))
+            return
         try:
             self._paused = services.decode_pause(data)
         except ConfigError as error:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.report.interop import ros_messages as ros
 from angler_mjx.report.interop.ros_encoding import find_encoder
 from angler_mjx.robot.control.commands import BodyTwist, PoseTarget
@@ -344,12 +345,12 @@ class GoalServer:
         """Command the robot to hold its position."""
         estimate, i = observation.estimate, self._robot
         _, joints, _ = measure_joints(self._session.robots[i], estimate, i)
-        command: Any = BodyTwist(nu=np.zeros(6))  # type: ignore[arg-type]
+        command: Any = BodyTwist(nu=as_leaf(np.zeros(6)))
         if PoseTarget in self._session.robots[i].accepts:
             command = PoseTarget(
-                position_m=joints[:3],  # type: ignore[arg-type]
-                velocity_mps=np.zeros(3),  # type: ignore[arg-type]
-                yaw_rad=np.asarray(joints[3]),  # type: ignore[arg-type]
+                position_m=as_leaf(joints[:3]),
+                velocity_mps=as_leaf(np.zeros(3)),
+                yaw_rad=as_leaf(np.asarray(joints[3])),
             )
         self._inbox.put(i, TOPIC, command)
 

@@ -6,11 +6,13 @@ whose controllers use the truth are exact.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control.commands import Estimate
 from angler_mjx.robot.sensing import suite
 from angler_mjx.robot.sensing.config import SensorsConfig
@@ -56,9 +58,7 @@ class FleetInstruments:
         for noise in (False, True):
             rows = [i for i, params in enumerate(built) if params.noise == noise]
             if rows:
-                stacked: SensorParams = jax.tree.map(
-                    lambda *leaves: jnp.stack(leaves), *(built[i] for i in rows)
-                )
+                stacked: SensorParams = jax.tree.map(_stack_leaves, *(built[i] for i in rows))
                 self._groups.append((rows, stacked))
 
     def reset(self, worlds: FleetWorld, seed: int, truth: Estimate) -> None:
@@ -69,20 +69,18 @@ class FleetInstruments:
             seed: of the random numbers of robots whose controllers use the truth.
             truth: true motion at the reset.
         """
-        environment = jax.tree.map(lambda leaf: leaf[0], worlds.environment)
-        self._grid, self._floor_z_m = environment.grid, environment.floor_z_m
-        if worlds.sensing_key is not None:
-            keys = worlds.sensing_key[0]
-        else:
-            base = jax.random.key(seed)
-            keys = jnp.stack(
-                [jax.random.key_data(jax.random.fold_in(base, i)) for i in range(self._count)]
-            )
-        self._step = 0
-        seen = _expose(self._grid, self._floor_z_m, _motion(truth))
-        self._keys = [keys[np.array(rows)] for rows, _ in self._groups]
+        # On the host: an index on the device is a program each.
+        grid, floor_z_m = jax.device_get((worlds.environment.grid, worlds.environment.floor_z_m))
+        self._grid, self._floor_z_m = jax.tree.map(lambda leaf: leaf[0], (grid, floor_z_m))
+        keys = (
+            _make_keys(np.uint32(seed), self._count)
+            if worlds.sensing_key is None
+            else np.asarray(worlds.sensing_key)[0]
+        )
+        self._step, motion = 0, _motion(truth)
+        self._keys = [as_leaf(np.asarray(keys)[np.array(rows)]) for rows, _ in self._groups]
         self._memory = [
-            jax.vmap(suite.reset)(params, group_keys, _rows(seen, rows))
+            _reset_group(params, group_keys, self._grid, self._floor_z_m, _rows(motion, rows))
             for (rows, params), group_keys in zip(self._groups, self._keys, strict=True)
         ]
 
@@ -128,6 +126,26 @@ def _expose(grid: Grid, floor_z_m: jax.Array, motion: Motion) -> Truth:
     p, q, nu = map(jnp.asarray, motion)
     altitude = jax.vmap(height_above_bottom, (None, None, 0))(grid, floor_z_m, p)
     return Truth(p=p, q=q, nu=nu, altitude_m=altitude)
+
+
+def _stack_leaves(*leaves: np.ndarray) -> jax.Array:
+    stacked = np.stack([np.asarray(leaf) for leaf in leaves])
+    return as_leaf(stacked)
+
+
+@partial(jax.jit, static_argnums=1)
+def _make_keys(seed: jax.Array, count: int) -> jax.Array:
+    """Return the keys [R, ...] of robots whose controllers use the truth."""
+    base = jax.random.key(seed)
+    return jnp.stack([jax.random.key_data(jax.random.fold_in(base, i)) for i in range(count)])
+
+
+@jax.jit
+def _reset_group(
+    params: SensorParams, keys: jax.Array, grid: Grid, floor_z_m: jax.Array, motion: Motion
+) -> SensorCarry:
+    memory: SensorCarry = jax.vmap(suite.reset)(params, keys, _expose(grid, floor_z_m, motion))
+    return memory
 
 
 @jax.jit

@@ -61,6 +61,7 @@ class SceneMessages:
         dt_s: float,
         density_kgpm3: float,
         gravity_mps2: float,
+        has_instruments: bool = True,
     ) -> None:
         """Compile the instruments.
 
@@ -70,7 +71,9 @@ class SceneMessages:
             dt_s: control period, s.
             density_kgpm3: of the water.
             gravity_mps2: m/s^2.
+            has_instruments: whether instruments, batteries and currents are simulated.
         """
+        self._has_instruments = has_instruments
         self._robots, self._facts, self._dt_s = robots, facts, dt_s
         self._pascal_per_m = density_kgpm3 * gravity_mps2
         self._instruments = FleetInstruments(
@@ -80,13 +83,12 @@ class SceneMessages:
 
     def reset(self, internals: SessionInternals, seed: int, view: SceneView) -> None:
         """Begin with a scene at its reset."""
-        self._instruments.reset(internals.worlds, seed, _truth(view))
+        if self._has_instruments:
+            self._instruments.reset(internals.worlds, seed, _truth(view))
         self._energy_j = view.energy_j
-        environment, path = jax.device_get(
-            jax.tree.map(
-                lambda leaf: leaf[0], (internals.worlds.environment, internals.worlds.path)
-            )
-        )
+        # An index on the device is a program each.
+        on_host = jax.device_get((internals.worlds.environment, internals.worlds.path))
+        environment, path = jax.tree.map(lambda leaf: leaf[0], on_host)
         self._environment, self._path = environment, path
 
     def build_static(self) -> Iterator[tuple[str, Build]]:
@@ -117,9 +119,10 @@ class SceneMessages:
         yield "/clock", lambda: {"clock": ros.make_stamp(time_s)}
         for i, info in enumerate(self._robots):
             yield f"/{info.name}/odometry", partial(self._odometry, view, i, estimated=False)
-        readings = self._instruments.read(_truth(view))
-        for i, info in enumerate(self._robots):
-            yield f"/{info.name}/imu/data", partial(self._imu, view, readings, i)
+        readings = self._instruments.read(_truth(view)) if self._has_instruments else None
+        if readings is not None:
+            for i, info in enumerate(self._robots):
+                yield f"/{info.name}/imu/data", partial(self._imu, view, readings, i)
         yield "/tf", lambda: self._frames(view)
         for i, info in enumerate(self._robots):
             root = f"/{info.name}"
@@ -127,14 +130,15 @@ class SceneMessages:
                 f"{root}/local_position/odom",
                 partial(self._odometry, view, i, estimated=True),
             )
-            yield f"{root}/imu/static_pressure", partial(self._pressure, view, readings, i)
-            yield f"{root}/dvl/twist", partial(self._dvl, view, readings, i)
-            yield f"{root}/dvl/range", partial(self._altitude, view, readings, i)
-            yield f"{root}/battery", partial(self._battery, view, float(spent_j[i]), i)
+            if readings is not None:
+                yield f"{root}/imu/static_pressure", partial(self._pressure, view, readings, i)
+                yield f"{root}/dvl/twist", partial(self._dvl, view, readings, i)
+                yield f"{root}/dvl/range", partial(self._altitude, view, readings, i)
+                yield f"{root}/battery", partial(self._battery, view, float(spent_j[i]), i)
+                yield f"{root}/current", partial(self._current, view, i)
             yield f"{root}/joint_states", partial(self._joints, view, i)
             yield f"{root}/thruster_pwm_us", partial(self._signals, view, i)
             yield f"{root}/clearance", partial(self._clearance, view, i)
-            yield f"{root}/current", partial(self._current, view, i)
         yield "/obstacles", lambda: self._obstacles(view)
         yield "/diagnostics", lambda: self._diagnostics(view, notes)
 

@@ -118,21 +118,26 @@ def serve_session(
             scenario,
             backends,
             DoorSettings(
-                pace=settings.pace,
+                pace="max" if opened.is_real else settings.pace,  # it paces itself
                 silence_s=settings.silence_s,
                 duration_s=settings.duration_s,
                 can_reset=recording is None,
+                is_real=opened.is_real,
             ),
             report,
             watchers,
         )
+        interrupt.check()
         for backend in backends:
             report(f"{scenario.name}, world {settings.world}: {backend.address}")
             if backend.missing:
                 report(f"{backend.address}: without {', '.join(backend.missing)}")
+        if opened.begin is not None:
+            opened.begin()
         stop = stack.enter_context(stop_on_signal())
         result = door.run(stop)
         stop.closing = True
+        finished = {} if opened.finish is None else opened.finish()
         recorded = None
         if recording is not None and result.steps:
             recorded = recording.close(
@@ -140,7 +145,7 @@ def serve_session(
                     steps=result.steps,
                     wall_s=result.wall_s,
                     compile_s=compile_s,
-                    more={"served": _build_summary(result)},
+                    more={"served": _build_summary(result), **finished},
                     interrupted=result.broken,
                 )
             )

@@ -36,6 +36,11 @@ _ROBOT = (
     ("plan", "nav_msgs/Path", True),
 )
 
+SIMULATED = frozenset(
+    ("imu/data", "imu/static_pressure", "dvl/twist", "dvl/range", "battery", "current")
+)
+"""Topics of a robot that only a simulation can give."""
+
 SERVICES = (
     Service(name="/reset", kind="std_srvs/Trigger"),
     Service(name="/pause", kind="std_srvs/SetBool"),
@@ -44,8 +49,13 @@ SERVICES = (
 )
 
 
-def list_published(robots: Sequence[RobotInfo]) -> list[Topic]:
-    """Return the topics that a session publishes, without those of actions."""
+def list_published(robots: Sequence[RobotInfo], *, has_instruments: bool = True) -> list[Topic]:
+    """Return the topics that a session publishes, without those of actions.
+
+    Args:
+        robots: of the session.
+        has_instruments: whether instruments, batteries and currents are simulated.
+    """
     topics = [
         Topic(name=f"/{name}", message=message, latched=latched)
         for name, message, latched in _WORLD
@@ -54,6 +64,7 @@ def list_published(robots: Sequence[RobotInfo]) -> list[Topic]:
         topics += [
             Topic(name=f"/{robot.name}/{name}", message=message, latched=latched)
             for name, message, latched in _ROBOT
+            if has_instruments or name not in SIMULATED
         ]
     return topics
 

@@ -9,6 +9,7 @@ from typing import Protocol
 import jax.numpy as jnp
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.files import JsonTable
 from angler_mjx.robot.control.commands import BodyTwist
 from angler_mjx.runs.session.batch_session import BatchSession
 from angler_mjx.runs.session.interface import Session
@@ -30,6 +31,13 @@ class OpenedSession:
 
     session: Drivable
     watchers: Sequence[Watcher] = ()
+    is_real: bool = False
+    """Whether the robots are outside the simulator: time cannot stop, and instruments are not
+    simulated. Such a session paces itself."""
+    begin: Callable[[], None] | None = None
+    """Called once before the first step, when nothing has to be compiled any more."""
+    finish: Callable[[], JsonTable] | None = None
+    """Called once after the last step; returns further keys of the run's summary."""
 
 
 type SessionOpener = Callable[[Scenario, int, Path | None, Report | None], OpenedSession]

@@ -281,7 +281,9 @@ class BatchSession:
         no_demand = jax.device_put(np.full(nu.shape, np.nan, nu.dtype), nu.sharding)
         carry = replace(state.carry, demanded=BodyWrench(tau=no_demand))
         self._initial_state: WorldState = replace(state, carry=carry)
-        self._rejoin_paths = RejoinPaths(jax.tree.map(lambda leaf: leaf[0], worlds.environment))
+        # On the host: an index on the device is a program each.
+        environment = jax.device_get(worlds.environment)
+        self._rejoin_paths = RejoinPaths(jax.tree.map(lambda leaf: leaf[0], environment))
 
     def _view_state(self, pwm_us: np.ndarray) -> StateView:
         watched, slots = None, self._command_queue.slots

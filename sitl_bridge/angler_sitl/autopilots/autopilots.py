@@ -10,6 +10,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.session.interface import RobotInfo
 from angler_sitl.autopilots.boot import BootTimes, WorldOrigin, boot_autopilots
@@ -28,8 +31,8 @@ from angler_sitl.firmware.process import (
 from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.steering import sticks
 from angler_sitl.steering.autopilot_commander import (
-    AutopilotCommander,
     EstimatedMotion,
+    SimulatedCommander,
     collect_motion,
 )
 from angler_sitl.steering.levels import LEVEL_MODES
@@ -144,6 +147,16 @@ class Autopilots:
         """Lock-step that steps the autopilots."""
         return self._lockstep
 
+    @property
+    def pwm(self) -> NDArray[np.int32]:
+        """Last pulse widths [R, 16], us."""
+        return self._lockstep.pwm
+
+    @property
+    def lost(self) -> Mapping[int, str]:
+        """Reason of each lost autopilot, by the robot's index."""
+        return self._lockstep.lost
+
     def estimate_motion(self) -> EstimatedMotion:
         """Return the autopilots' estimates of their own motion at the current time."""
         return collect_motion(self.pilots, self.time_s)
@@ -218,12 +231,12 @@ class Autopilots:
             on_crash=settings.on_crash,
         )
 
-    def _connect_commander(self, launch: LaunchSpec) -> AutopilotCommander:
+    def _connect_commander(self, launch: LaunchSpec) -> SimulatedCommander:
         if self._settings.folder is None:
-            return AutopilotCommander(launch.name, launch.sysid, launch.ports)
+            return SimulatedCommander(launch.name, launch.sysid, launch.ports)
         log = TelemetryLog(launch.folder / TLOG_NAME)
         self._exit.callback(log.close)
-        return AutopilotCommander(launch.name, launch.sysid, launch.ports, tap=log.log_packet)
+        return SimulatedCommander(launch.name, launch.sysid, launch.ports, tap=log.log_packet)
 
     def _build_parameters(self, robot: RobotInfo) -> dict[str, float]:
         settings = self._settings

@@ -13,9 +13,15 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from angler_mjx.errors import RunError
+from angler_sitl.autopilots.boot_steps import (
+    BootClock,
+    request_version,
+    run_steps,
+    send_until_followed,
+    wait_until,
+)
 from angler_sitl.firmware.parameters import PositionSource
-from angler_sitl.steering.autopilot_commander import STREAM_RATES_HZ, AutopilotCommander, mode_name
+from angler_sitl.steering.autopilot_commander import STREAM_RATES_HZ, AutopilotCommander
 from angler_sitl.wire import messages
 from angler_sitl.wire.mission_upload import MissionUpload, UploadItem
 
@@ -28,17 +34,8 @@ ARM_TIMEOUT_S = 20.0
 HOME_TIMEOUT_S = 10.0
 SPOOL_S = 1.0
 """Time after the last was armed: its motors are held back for 0.4 s, and it would drift."""
-_RETRY_PERIOD_S = 1.0
-"""Period after which a request without effect is repeated."""
 _MAX_REQUESTS = 20
 """Max parameters requested individually per control period, where the list came with gaps."""
-
-_REFUSALS = {
-    dialect.MAV_RESULT_TEMPORARILY_REJECTED: "not now",
-    dialect.MAV_RESULT_DENIED: "denied",
-    dialect.MAV_RESULT_UNSUPPORTED: "unknown to it",
-    dialect.MAV_RESULT_FAILED: "failed",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,32 +78,21 @@ def boot_autopilots(
         RunError: an autopilot does not come up, with its name and the reason.
     """
     began, now = time.perf_counter(), advance()
-    first, clock = now, _Clock(now)
+    first, clock = now, BootClock(time_s=now)
     pending = [
         _boot_steps(pilot, clock, mode, source, home, mission)
         for pilot, mission in zip(pilots, missions or [()] * len(pilots), strict=True)
     ]
-    while pending:
-        pending = [steps for steps in pending if next(steps, _DONE) is not _DONE]
-        if pending:
-            clock.time_s = advance()
+    run_steps(pending, clock, advance)
     end = clock.time_s + SPOOL_S
     while clock.time_s < end:
         clock.time_s = advance()
     return BootTimes(sim_s=clock.time_s - first, wall_s=time.perf_counter() - began)
 
 
-_DONE = object()
-
-
-@dataclass
-class _Clock:
-    time_s: float
-
-
 def _boot_steps(
     pilot: AutopilotCommander,
-    clock: _Clock,
+    clock: BootClock,
     mode: int,
     source: PositionSource,
     home: WorldOrigin,
@@ -118,22 +104,22 @@ def _boot_steps(
     def has_heartbeat() -> bool:
         return "HEARTBEAT" in link.latest
 
-    yield from _wait_until(
+    yield from wait_until(
         has_heartbeat, pilot, clock, HEARTBEAT_TIMEOUT_S, "says nothing on MAVLink"
     )
     for message, rate in STREAM_RATES_HZ.items():
         link.request_stream(message, rate)
     link.request_parameters()
-    _request_version(pilot)
+    request_version(pilot)
     origin = _origin_sender(pilot, home)
 
     def has_position() -> bool:
         return pilot.has_position
 
-    yield from _wait_until(
+    yield from wait_until(
         has_position, pilot, clock, POSITION_TIMEOUT_S[source], "its EKF finds no position", origin
     )
-    yield from _wait_until(
+    yield from wait_until(
         _parameters_complete(pilot),
         pilot,
         clock,
@@ -146,15 +132,15 @@ def _boot_steps(
         upload = MissionUpload(link, mission)
         while not upload.advance(clock.time_s):
             yield
-    yield from _send_until_followed(
+    yield from send_until_followed(
         pilot, clock, MODE_TIMEOUT_S, dialect.MAV_CMD_DO_SET_MODE, (1, mode), mode
     )
-    yield from _send_until_followed(
+    yield from send_until_followed(
         pilot, clock, ARM_TIMEOUT_S, dialect.MAV_CMD_COMPONENT_ARM_DISARM, (1,), mode
     )
 
 
-def _set_home(pilot: AutopilotCommander, clock: _Clock, home: WorldOrigin) -> Iterator[None]:
+def _set_home(pilot: AutopilotCommander, clock: BootClock, home: WorldOrigin) -> Iterator[None]:
     """Set home at the surface above W's origin: depths of a mission count from it.
 
     The firmware's own home has the height of the barometer's zero, which is where it was started.
@@ -167,68 +153,9 @@ def _set_home(pilot: AutopilotCommander, clock: _Clock, home: WorldOrigin) -> It
     def send() -> None:
         pilot.link.send(messages.build_home(pilot.sysid, home.lat_deg, home.lon_deg))
 
-    yield from _wait_until(
+    yield from wait_until(
         is_set, pilot, clock, HOME_TIMEOUT_S, "does not take its home", send, command
     )
-
-
-def _send_until_followed(
-    pilot: AutopilotCommander,
-    clock: _Clock,
-    limit_s: float,
-    command: int,
-    parameters: tuple[float, ...],
-    mode: int,
-) -> Iterator[None]:
-    """Repeat a command until the heartbeat shows its effect."""
-    arming = command == dialect.MAV_CMD_COMPONENT_ARM_DISARM
-
-    def is_followed() -> bool:
-        return pilot.armed if arming else pilot.mode == mode
-
-    def resend() -> None:
-        pilot.link.command(command, *parameters)
-
-    failure_text = "refuses to arm" if arming else f"refuses the mode {mode_name(mode)}"
-    yield from _wait_until(is_followed, pilot, clock, limit_s, failure_text, resend, command)
-
-
-def _wait_until(
-    condition: Callable[[], bool],
-    pilot: AutopilotCommander,
-    clock: _Clock,
-    limit_s: float,
-    failure_text: str,
-    retry: Callable[[], None] | None = None,
-    command: int | None = None,
-) -> Iterator[None]:
-    """Wait until a condition holds, with repeated requests.
-
-    Raises:
-        RunError: it does not hold in time.
-    """
-    end, due = clock.time_s + limit_s, clock.time_s
-    while not condition():
-        if clock.time_s >= end:
-            raise RunError(_format_failure(pilot, failure_text, limit_s, command))
-        if retry is not None and clock.time_s >= due:
-            retry()
-            due = clock.time_s + _RETRY_PERIOD_S
-        yield
-
-
-def _format_failure(
-    pilot: AutopilotCommander, failure_text: str, limit_s: float, command: int | None
-) -> str:
-    """Return the failure, the autopilot's status, and its own last texts."""
-    message = f"{pilot.name}: {failure_text} within {limit_s:g} s of its own clock"
-    if pilot.link.latest:
-        message += f" ({pilot.note()})"
-    answer = None if command is None else pilot.link.acks.get(command)
-    if answer in _REFUSALS:
-        message += f"; its answer is: {_REFUSALS[answer]}"
-    last_texts = pilot.link.format_last_texts()
-    return f"{message}; ArduSub says: {last_texts}" if last_texts else message
 
 
 def _origin_sender(pilot: AutopilotCommander, home: WorldOrigin) -> Callable[[], None]:
@@ -245,14 +172,6 @@ def _origin_sender(pilot: AutopilotCommander, home: WorldOrigin) -> Callable[[],
     return send_origin
 
 
-def _request_version(pilot: AutopilotCommander) -> None:
-    """Request AUTOPILOT_VERSION, unless it has come; no flight waits for it."""
-    if "AUTOPILOT_VERSION" not in pilot.link.latest:
-        pilot.link.command(
-            dialect.MAV_CMD_REQUEST_MESSAGE, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION
-        )
-
-
 def _parameters_complete(pilot: AutopilotCommander) -> Callable[[], bool]:
     """Return the condition that all parameters have come."""
     link = pilot.link
@@ -264,7 +183,7 @@ def _missing_requester(pilot: AutopilotCommander) -> Callable[[], None]:
 
     def request_missing() -> None:
         link = pilot.link
-        _request_version(pilot)
+        request_version(pilot)
         if not link.parameter_count:
             link.request_parameters()
             return

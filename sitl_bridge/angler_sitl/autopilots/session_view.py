@@ -1,7 +1,9 @@
 """View of a session on its scene: the truth, the autopilots' estimates, and records of both."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
+from typing import Protocol
 
 import jax
 import numpy as np
@@ -25,12 +27,38 @@ from angler_mjx.runs.session.state_view import (
 from angler_mjx.sim import robot, step
 from angler_mjx.sim.record import Belief, Sample, WorldRecord, build_sample
 from angler_mjx.sim.state import FleetWorld, WorldState
-from angler_sitl.autopilots.autopilots import Autopilots
 from angler_sitl.scene.flat_arrays import Arrays, FlatLayout
 from angler_sitl.scene.motion import MAX_PULSE_US, MIN_PULSE_US
 from angler_sitl.scene.scene import AutopilotScene
+from angler_sitl.steering.autopilot_commander import EstimatedMotion
 from angler_sitl.steering.command_sender import CommandSender
 from angler_sitl.steering.guidance import GuidanceDecision, belief_from_motion, belief_from_truth
+
+
+class SteeredAutopilots(Protocol):
+    """Autopilots as a session needs them."""
+
+    @property
+    def pwm(self) -> NDArray[np.int32]:
+        """Return the last pulse widths [R, 16], us."""
+        ...
+
+    @property
+    def lost(self) -> Mapping[int, str]:
+        """Return why robots, by their index, cannot go on."""
+        ...
+
+    def estimate_motion(self) -> EstimatedMotion:
+        """Return the estimates of their motion at the current time."""
+        ...
+
+    def note(self, robot: int) -> str:
+        """Return a short note on the state of a robot's autopilot."""
+        ...
+
+    def close(self) -> None:
+        """Close all; a second call has no effect."""
+        ...
 
 
 class SessionView:
@@ -69,14 +97,20 @@ class SessionView:
         self.target_m: Floats
 
     def begin(
-        self, autopilots: Autopilots, command_queue: CommandQueue, command_sender: CommandSender
+        self,
+        autopilots: SteeredAutopilots,
+        command_queue: CommandQueue,
+        command_sender: CommandSender,
     ) -> None:
         """Observe for the first time: every robot's target is its own position."""
         self.update(autopilots, command_queue, command_sender)
         self.target_m = np.asarray(self.estimated_view.p)
 
     def update(
-        self, autopilots: Autopilots, command_queue: CommandQueue, command_sender: CommandSender
+        self,
+        autopilots: SteeredAutopilots,
+        command_queue: CommandQueue,
+        command_sender: CommandSender,
     ) -> None:
         """Update the view from the current state."""
         scene, watched = self._scene, None
@@ -86,7 +120,7 @@ class SessionView:
                 allowed=self._tolerances,
                 before=as_leaf(command_queue.results),
             )
-        signals = self._thruster_pwm(autopilots.lockstep.pwm)
+        signals = self._thruster_pwm(autopilots.pwm)
         view_inputs = (scene.worlds, scene.judged, command_sender.memory, signals, watched)
         if self._layout is None:
             self._layout = FlatLayout.from_tree(

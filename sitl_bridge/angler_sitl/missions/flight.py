@@ -108,7 +108,7 @@ def _all_ended(
     goals: Mapping[int, JointGoal],
     has_completed: Callable[[int], bool] | None,
 ) -> bool:
-    lost = session.autopilots.lockstep.lost
+    lost = session.autopilots.lost
     return all(
         i in lost
         or (

@@ -299,7 +299,7 @@ def _summarise_run(
         "steps": flight.steps,
         "scene_s": flight.scene_s,
         "real_time": flight.real_time,
-        "lost": {names[i]: why for i, why in autopilots.lockstep.lost.items()},
+        "lost": {names[i]: why for i, why in autopilots.lost.items()},
         "trajectories": {names[i]: flight.last.status[i].note for i in goals},
     }
 

@@ -49,7 +49,7 @@ def collect_status(session: SitlSession, observation: Observation) -> list[Missi
     off_m = np.linalg.norm(np.asarray(estimate.p) - target_m, axis=1)
     rows = []
     for i, (pilot, status) in enumerate(zip(autopilots.pilots, observation.status, strict=True)):
-        is_lost = i in autopilots.lockstep.lost
+        is_lost = i in autopilots.lost
         # The autopilot's own note is in columns; the status of the orders comes first.
         note = autopilots.note(i) if is_lost else status.note.removesuffix(pilot.note())
         refusal = f"refused: {status.refused}" if status.refused and not is_lost else ""

@@ -5,13 +5,14 @@ number `world` of a run of the scenario. The pulse widths of the autopilots move
 times a second; the outcome is judged once a control period.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control.commands.whole_body import JointTarget, hold_joints
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.carry_table import CarryTask
@@ -187,6 +188,43 @@ class AutopilotScene:
         self._steps += 1
         self.states = SensorStates(numbers=np.asarray(self._moving[0])[:, :STATE_NUMBERS])
         return self.states
+
+    def move_vehicles(
+        self,
+        p: NDArray[np.floating],
+        q: NDArray[np.floating],
+        nu: NDArray[np.floating],
+        pulses: NDArray[np.int32],
+    ) -> None:
+        """Put all vehicles where they were estimated, one control period after the last time.
+
+        For vehicles that move in other water than the simulator's; see `step` for those that do.
+
+        Args:
+            p: [N, 3] m, in W.
+            q: [N, 4] F to W.
+            nu: [N, 6] in F.
+            pulses: [N, 16] us, of their thrusters.
+        """
+        self._ticks += self.steps_per_period
+        dtype = self.state.vehicles.p.dtype
+        p, q, nu = (values[None].astype(dtype) for values in (p, q, nu))
+        moved = replace(self.state.vehicles, p=as_leaf(p), q=as_leaf(q), nu=as_leaf(nu))
+        self._moving = self._motion.to_arrays(replace(self.state, vehicles=moved))
+        self._inputs[:, : motion.N_PULSES] = pulses
+
+    def restart_episodes(self, robots: NDArray[np.bool_]) -> None:
+        """Judge robots [N] anew from now on, as at their starts."""
+
+        def restart(now: np.ndarray, start: np.ndarray) -> np.ndarray:
+            mask = robots.reshape(1, -1, *[1] * (np.ndim(now) - 2))
+            restarted: np.ndarray = np.where(mask, start, now)
+            return restarted
+
+        tally = jax.tree.map(restart, self.state.tally, self._start.tally)
+        self.state = replace(self.state, tally=tally)
+        self.judged = self._judge.to_arrays(self.state)
+        self._inputs[:, motion.OUTCOME_COLUMN] = self.state.tally.outcome[0]
 
     def command_joints(self, target: JointTarget | None) -> None:
         """Set what the servos of joints follow from now on; autopilots know nothing of joints.

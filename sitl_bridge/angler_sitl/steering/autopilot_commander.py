@@ -32,6 +32,9 @@ MODE_NAMES = {
 AUTO_MODE = 3
 """Number of the mode in which the firmware flies its mission."""
 
+ALT_HOLD_MODE, GUIDED_MODE, SURFACE_MODE, POSHOLD_MODE = 2, 4, 9, 16
+"""Numbers of further modes."""
+
 STREAM_RATES_HZ = {
     dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 50.0,
     dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
@@ -49,8 +52,9 @@ _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 _N_OUTPUTS = 8
 """Number of thrusters of the largest frame."""
 
-_POSE_MESSAGES = ("LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
-_POSE_MESSAGE_SET = set(_POSE_MESSAGES)
+POSE_MESSAGES = ("LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
+"""Messages of the autopilot's estimate of its motion."""
+_POSE_MESSAGE_SET = set(POSE_MESSAGES)
 
 _MAX_POSE_AGE_S = 0.5
 """Max age of a pose to extrapolate; beyond it a fault is likely, and the note reports it."""
@@ -81,37 +85,21 @@ class NavigationFix:
 
 
 class AutopilotCommander:
-    """Autopilot behind its two links.
+    """Autopilot behind a link.
 
     Attributes:
         link: commands and telemetry.
-        vision: external navigation.
+        name: of the robot.
+        sysid: system number of the autopilot.
     """
 
-    def __init__(self, name: str, sysid: int, ports: Ports, tap: PacketTap | None = None) -> None:
-        """Take over the sockets; nothing is sent before the autopilot's first message."""
-        self.name, self.sysid = name, sysid
-        self.link = MavlinkLink(ports.mavlink, name=name, sysid=sysid, tap=tap)
-        self.vision = MavlinkLink(ports.vision, name=name, sysid=sysid)
+    def __init__(self, link: MavlinkLink) -> None:
+        """Take over a link; nothing is sent."""
+        self.link, self.name, self.sysid = link, link.name, link.sysid
 
     def tick(self, time_s: float) -> None:
         """Process one control period of the scene's clock: receive messages, send heartbeats."""
         self.link.tick(time_s)
-        self.vision.tick(time_s)
-
-    def send_fix(self, time_s: float, fix: NavigationFix) -> None:
-        """Send a position fix, if the autopilot listens already."""
-        if self.vision.has_peer:
-            self.vision.send(
-                messages.vision_position(
-                    time_s, fix.p, fix.q, fix.position_std_m, fix.attitude_std_rad
-                )
-            )
-            self.vision.send(messages.vision_speed(time_s, fix.velocity_mps, fix.velocity_std_mps))
-
-    def send_neutral(self) -> None:
-        """Set all passed-through outputs to neutral."""
-        self.link.send(messages.build_override(self.sysid, np.full(_N_OUTPUTS, NEUTRAL_US)))
 
     def set_mode(self, mode: int) -> None:
         """Request a mode by the firmware's number; the heartbeat shows whether it is followed."""
@@ -180,8 +168,8 @@ class AutopilotCommander:
         """
         if not self.link.latest.keys() >= _POSE_MESSAGE_SET:
             raise RunError(f"{self.name}: its autopilot has not told its motion yet")
-        position, attitude = (self.link.latest[kind] for kind in _POSE_MESSAGES)
-        age = time_s - position.time_boot_ms / 1000.0
+        position, attitude = (self.link.latest[kind] for kind in POSE_MESSAGES)
+        age = self._find_pose_age(time_s)
         age = age if 0.0 <= age <= _MAX_POSE_AGE_S else 0.0
         return [
             position.x + position.vx * age,
@@ -191,6 +179,42 @@ class AutopilotCommander:
             *(attitude.q1, attitude.q2, attitude.q3, attitude.q4),
             *(attitude.rollspeed, attitude.pitchspeed, attitude.yawspeed),
         ]
+
+    def _find_pose_age(self, time_s: float) -> float:
+        """Return the age [s] of the last pose; the autopilot's clock is the scene's."""
+        return time_s - float(self.link.latest["LOCAL_POSITION_NED"].time_boot_ms) / 1000.0
+
+
+class SimulatedCommander(AutopilotCommander):
+    """Autopilot that flies in the simulated water, behind its two links.
+
+    Attributes:
+        vision: external navigation.
+    """
+
+    def __init__(self, name: str, sysid: int, ports: Ports, tap: PacketTap | None = None) -> None:
+        """Take over the sockets; nothing is sent before the autopilot's first message."""
+        super().__init__(MavlinkLink(ports.mavlink, name=name, sysid=sysid, tap=tap))
+        self.vision = MavlinkLink(ports.vision, name=name, sysid=sysid)
+
+    def tick(self, time_s: float) -> None:
+        """Process one control period on both links."""
+        super().tick(time_s)
+        self.vision.tick(time_s)
+
+    def send_fix(self, time_s: float, fix: NavigationFix) -> None:
+        """Send a position fix, if the autopilot listens already."""
+        if self.vision.has_peer:
+            self.vision.send(
+                messages.vision_position(
+                    time_s, fix.p, fix.q, fix.position_std_m, fix.attitude_std_rad
+                )
+            )
+            self.vision.send(messages.vision_speed(time_s, fix.velocity_mps, fix.velocity_std_mps))
+
+    def send_neutral(self) -> None:
+        """Set all passed-through outputs to neutral."""
+        self.link.send(messages.build_override(self.sysid, np.full(_N_OUTPUTS, NEUTRAL_US)))
 
 
 def collect_motion(pilots: Sequence[AutopilotCommander], time_s: float) -> EstimatedMotion:

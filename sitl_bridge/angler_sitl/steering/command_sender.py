@@ -1,6 +1,7 @@
 """Conversion of robot commands to autopilot messages, once in a control period."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import jax
 import numpy as np
@@ -24,6 +25,7 @@ class CommandSender:
     """Our own controllers of all robots, and the sender of their output.
 
     Attributes:
+        spec: of the level.
         memory: of the controllers, [1, R] leading.
         silent: indices of robots that fly on their own, in AUTO: they receive no commands.
     """
@@ -35,7 +37,7 @@ class CommandSender:
             level: where commands enter.
             spec: of that level, see `angler_sitl.steering.levels.build_level_spec`.
         """
-        self._level, self._guidance = level, Guidance(spec)
+        self._level, self._guidance, self.spec = level, Guidance(spec), spec
         self.silent: frozenset[int] = frozenset()
 
     def reset(self, scene: AutopilotScene, command: MixedCommand) -> None:
@@ -78,13 +80,19 @@ class CommandSender:
         scene.command_joints(decision.memory.joints)
         for i, (pilot, robot) in enumerate(zip(pilots, robots, strict=True)):
             if i not in self.silent:
-                pilot.link.send(self._build_message(i, pilot, robot, scene.time_s, decision.output))
+                output: Command = jax.tree.map(partial(_select_robot, i), decision.output)
+                self._send_command(i, pilot, robot, scene.time_s, output)
         return decision
 
+    def _send_command(
+        self, i: int, pilot: AutopilotCommander, robot: RobotInfo, time_s: float, command: Command
+    ) -> None:
+        """Send the output of the controllers of robot i."""
+        pilot.link.send(self._build_message(pilot, robot, time_s, command))
+
     def _build_message(
-        self, i: int, pilot: AutopilotCommander, robot: RobotInfo, time_s: float, output: Command
+        self, pilot: AutopilotCommander, robot: RobotInfo, time_s: float, command: Command
     ) -> MavlinkMessage:
-        command: Command = jax.tree.map(lambda leaf: np.asarray(leaf)[0, i], output)
         match command:
             case ThrusterPwm():
                 pulses = np.asarray(command.pwm_us)[: len(robot.thrusters)]
@@ -103,3 +111,8 @@ class CommandSender:
                     pilot.sysid, sticks.twist_to_sticks(self._level, robot, twist)
                 )
         raise TypeError(f"no message holds a {type(command).__name__}")
+
+
+def _select_robot(i: int, leaf: jax.Array) -> np.ndarray:
+    row: np.ndarray = np.asarray(leaf)[0, i]
+    return row

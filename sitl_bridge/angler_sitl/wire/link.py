@@ -6,13 +6,13 @@ have arrived, and the caller looks again one control period later. Every packet,
 through a tap: a `TelemetryLog`, or a ground station that listens along.
 """
 
-import socket
 import struct
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -34,6 +34,22 @@ _HEARTBEAT_S = 1.0
 _MAX_PACKET_BYTES = 65_536
 _MAX_TEXTS = 50
 """Max number of kept status texts of an autopilot."""
+
+
+class DatagramSocket(Protocol):
+    """Socket of datagrams, or what stands in for one; nothing blocks."""
+
+    def setblocking(self, flag: bool, /) -> None:
+        """Block in calls or not."""
+        ...
+
+    def recvfrom(self, bufsize: int, /) -> tuple[bytes, Any]:
+        """Return a datagram and its source; BlockingIOError if there is none."""
+        ...
+
+    def sendto(self, data: bytes, address: Any, /) -> int:
+        """Send a datagram."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,14 +79,14 @@ class MavlinkLink:
     """
 
     def __init__(
-        self, bound: socket.socket, *, name: str, sysid: int, tap: PacketTap | None = None
+        self, bound: DatagramSocket, *, name: str, sysid: int, tap: PacketTap | None = None
     ) -> None:
         """Take over a bound socket; it is not closed here."""
         bound.setblocking(False)
         self._socket, self._tap = bound, tap
         self._mav = dialect.MAVLink(self, srcSystem=GROUND_STATION, srcComponent=_COMPONENT)
         self._mav.robust_parsing = True
-        self._peer: tuple[str, int] | None = None
+        self._peer: object | None = None
         self._time_s, self._beat_s = 0.0, -_HEARTBEAT_S
         self.name, self.sysid = name, sysid
         self.latest: dict[str, MavlinkMessage] = {}
@@ -118,7 +134,7 @@ class MavlinkLink:
             except ConnectionError:  # a packet of ours came to a port that is closed
                 continue
             for message in self._mav.parse_buffer(data) or ():
-                if message.get_srcSystem() == self.sysid:
+                if message.get_srcSystem() == self.sysid and self._is_accepted(message):
                     self._peer = sender
                     self._handle_message(message)
 
@@ -163,6 +179,10 @@ class MavlinkLink:
     def format_last_texts(self, count: int = 3) -> str:
         """Return the last status texts, for the report of a failure."""
         return "; ".join(text.text for text in list(self.texts)[-count:])
+
+    def _is_accepted(self, message: MavlinkMessage) -> bool:
+        """Return whether to handle a message of the vehicle."""
+        return True
 
     def _handle_message(self, message: MavlinkMessage) -> None:
         if self._tap is not None:

@@ -34,7 +34,12 @@ def build_override(sysid: int, pwm_us: Floats) -> MavlinkMessage:
 
 
 def build_position_target(
-    sysid: int, time_s: float, position_m: Floats, velocity_mps: Floats, yaw_rad: float
+    sysid: int,
+    time_s: float,
+    position_m: Floats,
+    velocity_mps: Floats,
+    yaw_rad: float,
+    origin_ned_m: Floats | None = None,
 ) -> MavlinkMessage:
     """Build a position target with its velocity and heading.
 
@@ -44,10 +49,13 @@ def build_position_target(
         position_m: [3] in W.
         velocity_mps: [3] in W.
         yaw_rad: about z up, 0 = east.
+        origin_ned_m: [3] origin of the autopilot's filter in NED from W's origin; W's if left out.
     """
     position, velocity = (
         vector_enu_to_ned(np.asarray(v, float)) for v in (position_m, velocity_mps)
     )
+    if origin_ned_m is not None:
+        position = position - origin_ned_m
     return dialect.MAVLink_set_position_target_local_ned_message(
         round(time_s * 1e3),
         sysid,

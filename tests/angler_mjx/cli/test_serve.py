@@ -48,6 +48,38 @@ def test_a_wrong_flag_is_one_message(words, message, capsys):
     assert "Traceback" not in text
 
 
+ENDPOINT = ["--endpoint", "udp:127.0.0.1:14550"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--endpoint", "14550"], "--endpoint '14550': give udp:HOST:PORT"),
+        (["--arm"], "--arm: is of vehicles that run already; add --endpoint"),
+        (["--system-id", "1"], "--system-id: is of vehicles"),
+        (["--max-speed", "0.2"], "--max-speed: is of vehicles"),
+        (["--at-end", "disarm"], "--at-end: is of vehicles"),
+        ([*ENDPOINT, "--level", "guided"], "--level guided: vehicles at endpoints"),
+        ([*ENDPOINT, "--pace", "max"], "--pace max: vehicles at endpoints run by the clock"),
+        ([*ENDPOINT, "--follow-plans"], "--follow-plans: nothing moves that is not armed"),
+        ([*ENDPOINT, "--fence", "1,2"], "--fence '1,2': give XMIN"),
+        ([*ENDPOINT, "--max-speed", "0"], "--max-speed 0: give a number above 0"),
+        ([*ENDPOINT, "--link-timeout", "0"], "--link-timeout 0: give at least 0.1"),
+        ([*ENDPOINT, "--position-timeout", "nan"], "--position-timeout nan: give at least"),
+        ([*ENDPOINT, "--origin", "47"], "--origin '47'"),
+        ([*ENDPOINT, "--system-id", "1", "2"], "--system-id: 2 numbers for"),
+    ],
+)
+def test_a_wrong_flag_of_vehicles_is_one_message(words, message, port, capsys):
+    pytest.importorskip("pymavlink")
+    with pytest.raises(SystemExit) as left:
+        main(["serve", "reef_fleet", "--backend", "zenoh", "--port", str(port), *words])
+    assert left.value.code == 2
+    text = capsys.readouterr().err
+    assert message in text
+    assert "Traceback" not in text
+
+
 def test_a_missing_library_is_one_message(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "zenoh", None)
     with pytest.raises(SystemExit) as left:

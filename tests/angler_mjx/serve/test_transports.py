@@ -28,6 +28,10 @@ needs_rclpy = pytest.mark.skipif(
     find_spec("rclpy") is None,
     reason="rclpy is missing; it comes with ROS 2, or with ros-kilted-rclpy in a Python of its own",
 )
+needs_control_msgs = pytest.mark.skipif(
+    find_spec("rclpy") is None or find_spec("control_msgs") is None,
+    reason="rclpy or control_msgs is missing; both come with ROS 2",
+)
 WAIT_S = 20.0
 
 
@@ -335,6 +339,76 @@ def test_a_node_of_ros_reads_drives_and_steps(session, scene):
             assert odometry[-1].header.frame_id == "map"
             assert call(SetBool, "/pause", SetBool.Request(data=True)).message == "paused"
             assert call(Trigger, "/reset", Trigger.Request()).message == "seed 3"
+    finally:
+        context.try_shutdown()
+        backend.close()
+
+
+def make_goal(kind, point, x, seconds):
+    """A goal: robot_0 goes east to x in a time."""
+    goal = kind.Goal()
+    goal.trajectory.joint_names = ["x"]
+    goal.trajectory.points = [point(positions=[x])]
+    goal.trajectory.points[0].time_from_start.sec = seconds
+    return goal
+
+
+@needs_control_msgs
+def test_an_action_client_of_ros_sends_watches_and_cancels(session, scene):
+    os.environ["ROS_DOMAIN_ID"] = str(100 + os.getpid() % 100)
+    import rclpy
+    from action_msgs.msg import GoalStatus
+    from control_msgs.action import FollowJointTrajectory
+    from rclpy.action import ActionClient
+    from trajectory_msgs.msg import JointTrajectoryPoint
+
+    from angler_mjx.serve.backends.interface import ACTION
+    from angler_mjx.serve.backends.rclpy_backend import RclpyBackend
+
+    backend = RclpyBackend()
+    assert ACTION not in backend.missing
+    context = rclpy.Context()
+    try:
+        with served(session, scene, backends=[backend], pace=4.0) as door:
+            context.init()
+            node = rclpy.create_node("planner", context=context)
+            executor = rclpy.executors.SingleThreadedExecutor(context=context)
+            executor.add_node(node)
+            name = "/robot_0/joint_trajectory_controller/follow_joint_trajectory"
+            client = ActionClient(node, FollowJointTrajectory, name)
+            assert client.wait_for_server(WAIT_S)
+            feedback = []
+
+            def finish(future):
+                executor.spin_until_future_complete(future, timeout_sec=WAIT_S)
+                assert future.done()
+                return future.result()
+
+            def send(x, seconds):
+                goal = make_goal(FollowJointTrajectory, JointTrajectoryPoint, x, seconds)
+                return finish(client.send_goal_async(goal, lambda m: feedback.append(m.feedback)))
+
+            start = float(session.observe().estimate.p[0, 0])  # it is on its plan meanwhile
+            handle = send(start + 1.0, 8)
+            assert handle.accepted
+            done = finish(handle.get_result_async())
+            assert done.status == GoalStatus.STATUS_SUCCEEDED
+            assert done.result.error_code == FollowJointTrajectory.Result.SUCCESSFUL
+            assert len(feedback) > 20
+            column = list(feedback[0].joint_names).index("x")
+            assert feedback[0].actual.positions[column] == pytest.approx(start, abs=0.6)
+            assert feedback[-1].actual.positions[column] == pytest.approx(start + 1.0, abs=0.2)
+            away = send(40.0, 400)
+            assert away.accepted
+            before = len(feedback)
+            while len(feedback) < before + 10:
+                executor.spin_once(timeout_sec=0.1)
+            assert finish(away.cancel_goal_async()).goals_canceling
+            ended = finish(away.get_result_async())
+            assert ended.status == GoalStatus.STATUS_CANCELED
+            assert not send(90.0, 1).accepted  # 92 m in a second
+            assert "PoseTarget" in session.observe().status[0].command
+            assert not door.reports or "refusals" in door.reports[-1]
     finally:
         context.try_shutdown()
         backend.close()

@@ -12,8 +12,8 @@ from angler_sitl.autopilots.boot import WorldOrigin, boot_autopilots
 from angler_sitl.autopilots.lockstep import LockStep
 from angler_sitl.firmware.process import AutopilotProcess, LaunchSpec, kill_processes
 from angler_sitl.steering.autopilot_commander import (
-    AutopilotCommander,
     NavigationFix,
+    SimulatedCommander,
     collect_motion,
     mode_name,
 )
@@ -55,7 +55,7 @@ def started(program, folder, *each):
                 parameters=parameters,
             )
             instances.append(AutopilotProcess(launch))
-        pilots = [AutopilotCommander(f"robot_{i}", i + 1, ports) for i, ports in enumerate(bound)]
+        pilots = [SimulatedCommander(f"robot_{i}", i + 1, ports) for i, ports in enumerate(bound)]
         scene = Still(len(each))
         lockstep = LockStep(
             [ports.fdm for ports in bound],
@@ -128,7 +128,7 @@ def test_the_one_that_does_not_come_up_is_named(stand_in, tmp_path, monkeypatch,
 
 def test_who_never_spoke_is_named(ports):
     clock = iter(np.arange(0.0, 100.0, 0.05))
-    pilot = AutopilotCommander("robot_7", 8, ports)
+    pilot = SimulatedCommander("robot_7", 8, ports)
     with pytest.raises(RunError, match="robot_7: says nothing on MAVLink within 15 s"):
         boot_autopilots([pilot], lambda: float(next(clock)), mode=4, source="vision", home=HOME)
     with pytest.raises(RunError, match=r"robot_7.*not told its motion"):

@@ -168,3 +168,38 @@ def test_a_mission_is_flown_to_its_end(scenario, write, tmp_path, program, reque
     assert gap["path_rms_m"] < 0.5
     # It waits for a vehicle that lags behind, and is never early.
     assert 0.0 < gap["end_s"] < 0.5 * gap["plan_s"]
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    """A scenario of two robots side by side, the first below home."""
+    path = tmp_path_factory.mktemp("auto") / "two.toml"
+    path.write_text(
+        'schema_version = 1\nname = "two"\n[time]\nhorizon_s = 120.0\n'
+        '[world]\npreset = "open"\nshape = [40, 40, 10]\ncell_m = 1.0\ndepth_m = 0.0\n'
+        'placement = "given"\nstart_m = [[0.0, 0.0, -0.5], [0.0, -4.0, -0.5]]\n'
+        f"goal_m = [[{EAST_M}, 0.0, -4.0], [0.0, {-NORTH_M}, -3.0]]\n"
+        '[[fleet]]\nvehicle = "bluerov2_heavy"\ncount = 2\n'
+    )
+    return load_scenario(path)
+
+
+@pytest.mark.sitl
+def test_each_robot_flies_the_mission_of_its_file(pair, write, tmp_path, ardusub, monkeypatch):
+    monkeypatch.setattr("angler_sitl.firmware.binary.find_binary", lambda *_: ardusub)
+    east = write([waypoint(0, 1, -4)], "east.plan")
+    south = write([waypoint(-1, 0, -3)], "south.plan")
+    settings = MissionSettings(out=tmp_path / "run", missions=[east, south])
+    flight, run = mission.run_mission(pair, settings, lambda _: None, Board())
+    assert flight.broken == ""
+    truth = np.asarray(run.trajectories["p_m"])[0]
+    for robot, stop in enumerate([(EAST_M, 0, -4), (0, -NORTH_M, -3)]):
+        assert np.linalg.norm(truth[:, robot] - stop, axis=1).min() < 0.2
+        assert np.linalg.norm(truth[:, 1 - robot] - stop, axis=1).min() > 3.0
+    gaps = run.summary["sitl"]["mission"]
+    assert len(gaps) == 2
+    assert all(max(gap["off_stop_m"]) < 0.2 and gap["path_rms_m"] < 0.5 for gap in gaps)
+    assert sorted(file.name for file in (run.path / "inputs").rglob("*.plan")) == [
+        "east.plan",
+        "south.plan",
+    ]

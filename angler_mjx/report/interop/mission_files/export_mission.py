@@ -13,6 +13,7 @@ import zarr
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import format_path
 from angler_mjx.frames import GeodeticOrigin, local_to_geodetic
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.report.interop import joint_trajectory_file
 from angler_mjx.report.interop.mission_files import items as mav
 from angler_mjx.report.interop.mission_files.read_waypoints import HEADER
@@ -282,7 +283,9 @@ def _read_plan_file(source: Path, world: int, robot: int) -> Plan:
             goal, joints=VEHICLE_JOINTS, position=points[0].positions
         )
     time, position = rows["time_s"], rows["position_m"]
-    return Trajectory(time_s=time, position_m=position, found=np.array(True))  # type: ignore[arg-type]
+    return Trajectory(
+        time_s=as_leaf(time), position_m=as_leaf(position), found=as_leaf(np.array(True))
+    )
 
 
 def _read_run(run: Run, world: int, robot: int) -> Plan:

@@ -1,0 +1,1 @@
+"""Vehicles that somebody else started, behind MAVLink endpoints that the user names."""
