@@ -1,4 +1,4 @@
-"""The Python examples of README and docs do what they show."""
+"""The Python examples of docs do what they show."""
 
 import doctest
 from pathlib import Path
@@ -11,7 +11,7 @@ ROOT = Path(__file__).parent.parent
 @pytest.mark.parametrize(
     ("page", "examples"),
     [
-        ("README.md", 9),
+        ("docs/tutorials/first_run.md", 9),
         pytest.param(
             "docs/tutorials/own_policy.md", 9, marks=pytest.mark.nightly(by="sim/test_policy.py")
         ),

@@ -1,8 +1,11 @@
 """Submissions of the package's planners: plans of all problems and a card, by one command."""
 
 import json
+import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import jax
@@ -15,9 +18,10 @@ from angler_mjx.leaderboard.checking import limit_information
 from angler_mjx.leaderboard.problem_files import ProblemManifest
 from angler_mjx.leaderboard.problem_sets import FrozenBenchmark, ProblemSet
 from angler_mjx.planning.device_planner import build_device_planner
-from angler_mjx.planning.register import PlannerSpec
+from angler_mjx.planning.problem import Problem
 from angler_mjx.progress import Progress
 from angler_mjx.robot.control import plans
+from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs.provenance import processor_name
 from angler_mjx.runs.simulator.compilation import CompiledFunction
 from angler_mjx.runs.simulator.host_planning import PlanNotes, planning_status
@@ -32,6 +36,7 @@ from angler_mjx.runs.storage.atomic_files import write_text
 from angler_mjx.runs.storage.plans import write as plan_writer
 from angler_mjx.scenario.editing import scenario_table
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.state import World
 
 
 def plan_submission(
@@ -79,13 +84,35 @@ def plan_submission(
     )
     _write_card(out / submission.CARD, text + "\n")
     progress.start(sum(entry.problems for entry in entries), unit="problems")
+    waiting = []
     for entry in entries:
-        path = out / submission.PLANS / f"{entry.name}.zarr"
-        if not path.exists():
-            progress.describe(entry.name)
-            scenario = _plannable_scenario(benchmark, entry, manifest, secret, planner)
-            _plan_set(path, scenario, workers)
-        progress.advance(entry.problems)
+        if (out / submission.PLANS / f"{entry.name}.zarr").exists():
+            progress.advance(entry.problems)
+        else:
+            waiting.append(entry)
+    count = max(1, (os.cpu_count() or 1) // 2)
+    for first in range(0, len(waiting), count):
+        batch = waiting[first : first + count]
+        progress.describe(batch[-1].name)
+        parts = [
+            SetToPlan(
+                path=out / submission.PLANS / f"{entry.name}.zarr",
+                scenario=_plannable_scenario(benchmark, entry, manifest, secret, planner),
+            )
+            for entry in batch
+        ]
+        for part in _plan_sets(parts, workers):
+            progress.advance(part.scenario.worlds)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetToPlan:
+    """A set without a file of plans."""
+
+    path: Path
+    """Of the file to make."""
+    scenario: Scenario
+    """With the planner."""
 
 
 def _write_card(path: Path, text: str) -> None:
@@ -131,43 +158,73 @@ def _plannable_scenario(
     raise ConfigError(f"{entry.name}: {refusal}")
 
 
-def _plan_set(path: Path, scenario: Scenario, workers: int | None) -> None:
+def _plan_sets(parts: Sequence[SetToPlan], workers: int | None) -> Iterator[SetToPlan]:
+    """Plan sets; programs of the device are compiled side by side, then timed one by one."""
+    spec = parts[0].scenario.planner.planner_spec()
+    if not spec.reference.on_device:
+        for part in parts:
+            _plan_on_host(part, workers)
+            yield part
+        return
+    with ThreadPoolExecutor(len(parts), thread_name_prefix="planner") as threads:
+        programs = list(threads.map(_compile_planner, parts))
+    for part, program in zip(parts, programs, strict=True):
+        program.write_plans(part)
+        yield part
+
+
+def _plan_on_host(part: SetToPlan, workers: int | None) -> None:
     """Plan the worlds of a set; one that was interrupted is continued."""
-    simulator = Simulator(scenario, devices=1, workers=workers)
+    simulator = Simulator(part.scenario, devices=1, workers=workers)
     try:
-        is_begun = output_lock.partial_path(path).exists()
-        spec = scenario.planner.planner_spec()
-        if spec.reference.on_device:
-            _plan_on_device(path, scenario, spec, simulator, resume=is_begun)
-        else:
-            plan_writer.plan_worlds(path, scenario, simulator, resume=is_begun)
+        is_begun = output_lock.partial_path(part.path).exists()
+        plan_writer.plan_worlds(part.path, part.scenario, simulator, resume=is_begun)
     finally:
         simulator.close()
 
 
-def _plan_on_device(
-    path: Path, scenario: Scenario, spec: PlannerSpec, simulator: Simulator, *, resume: bool
-) -> None:
-    """Plan all problems of a set at once, timed after compiling; each took its part of the time."""
+@dataclass(frozen=True, kw_only=True)
+class PlannerProgram:
+    """Compiled planner of a set, and the problems of the set."""
+
+    simulator: Simulator
+    worlds: World
+    problems: Problem
+    plan_batch: Callable[[Problem], Plan]
+
+    def write_plans(self, part: SetToPlan) -> None:
+        """Plan all problems of the set at once, timed; each took its part of the time."""
+        begin = time.perf_counter()
+        planned = jax.block_until_ready(self.plan_batch(self.problems))
+        count = part.scenario.worlds
+        seconds = (time.perf_counter() - begin) / count
+        name, shape = part.scenario.planner.name, self.simulator.paths
+        replace_paths(self.worlds, planned, name, shape)
+        paths = jax.tree.map(lambda leaf: np.asarray(leaf)[:count], planned)
+        is_found = np.asarray(plans.is_found(paths))
+        is_begun = output_lock.partial_path(part.path).exists()
+        writer = plan_writer.open_writer(
+            part.path, part.scenario, shape, resume=is_begun, tile=count
+        )
+        with writer.keeping():
+            notes = PlanNotes(
+                planning_s=np.full(count, seconds),
+                status=planning_status(is_found),
+                reason=np.where(is_found, "", "no way found").astype(object),
+            )
+            writer.write(0, paths, notes)
+            writer.publish()
+        self.simulator.close()
+
+
+def _compile_planner(part: SetToPlan) -> PlannerProgram:
+    """Sample the problems of a set, compile its planner, and call it once."""
+    scenario = part.scenario
+    simulator = Simulator(scenario, devices=1)
     worlds, problems = simulator.sample_problems(0)
     information = scenario.planner.information.to_information()
+    spec = scenario.planner.planner_spec()
     planner = build_device_planner(spec, problem_settings(scenario, information))
     program = CompiledFunction(planner.plan_batch).lower(problems).compile()
     jax.block_until_ready(program(problems))
-    begin = time.perf_counter()
-    planned = jax.block_until_ready(program(problems))
-    seconds = (time.perf_counter() - begin) / scenario.worlds
-    replace_paths(worlds, planned, scenario.planner.name, simulator.paths)
-    paths = jax.tree.map(lambda leaf: np.asarray(leaf)[: scenario.worlds], planned)
-    is_found = np.asarray(plans.is_found(paths))
-    writer = plan_writer.open_writer(
-        path, scenario, simulator.paths, resume=resume, tile=scenario.worlds
-    )
-    with writer.keeping():
-        notes = PlanNotes(
-            planning_s=np.full(scenario.worlds, seconds),
-            status=planning_status(is_found),
-            reason=np.where(is_found, "", "no way found").astype(object),
-        )
-        writer.write(0, paths, notes)
-        writer.publish()
+    return PlannerProgram(simulator=simulator, worlds=worlds, problems=problems, plan_batch=program)
