@@ -270,7 +270,11 @@ class EndpointSession(AutopilotSession[VehicleFleet]):
         self._require_open()
         if self._autopilots is not None:
             if self._fleet.time_s - self._fleet.polled_s > STALL_S:
-                self._refresh()  # what has waited is old
+                try:
+                    self._refresh()  # what has waited is old
+                except RunError:
+                    self._require_all()
+                    raise
                 self._fleet.restart_pace()
             self._release_taken_robots()
         return super().step(commands)
