@@ -198,7 +198,7 @@ def test_what_is_stored_beside_is_asked_for_by_name(scenario_file):
     assert plain.sim_spec().also == ()
     assert plain.digest() == asked.digest()
     for also, word in (
-        (["speed"], "'wrench', 'clearance' or 'acoustics'"),
+        (["speed"], "'wrench', 'clearance', 'acoustics' or 'grips'"),
         (["wrench"] * 2, "name it once"),
     ):
         with pytest.raises(ConfigError, match=word) as caught:
