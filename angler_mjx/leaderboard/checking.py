@@ -257,20 +257,26 @@ def _judge_sets(
 
 def _judge_flown(one: CheckedSet, path: Path) -> list[ProblemScore]:
     run = folder.Run(path)
-    verdict = referee.judge(path)
-    faults: dict[int, str] = {}
-    for finding in verdict.differences:
-        if finding.result == "disagrees":
-            faults.setdefault(finding.world, f"the referee disagrees: {finding.line()}")
-    if verdict.counts["outcome"].exact < verdict.robots:
-        raise ConfigError(f"{path}: the referee could not recompute all outcomes")
+    faults = {world: _judge_world(path, world) for world in range(one.entry.problems)}
     by_world: dict[int, list[dict[str, Any]]] = {}
     for row in run.episodes.to_pylist():
         by_world.setdefault(row["world"], []).append(row)
     return [
-        _flown_score(one, world, by_world[world], faults.get(world, ""))
+        _flown_score(one, world, by_world[world], faults[world])
         for world in range(one.entry.problems)
     ]
+
+
+def _judge_world(path: Path, world: int) -> str:
+    """Return why the referee does not confirm the flights of a world; empty if it does."""
+    verdict = referee.judge(path, [world])
+    for finding in verdict.differences:
+        if finding.result == "disagrees":
+            return f"the referee disagrees: {finding.line()}"
+    outcomes = verdict.counts["outcome"]
+    if outcomes.exact < verdict.robots:
+        return f"the referee could not compute all outcomes again: {'; '.join(outcomes.why)}"
+    return ""
 
 
 def _flown_score(

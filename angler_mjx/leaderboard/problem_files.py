@@ -293,8 +293,7 @@ def _add_current(group: zarr.Group, problems: list[Problem]) -> None:
             rows.reshape(shape),
             ["world", "time", "x", "y", "z", "xyz"],
             "m/s",
-            "velocity of the water over ground, W; linear between points to within rounding of "
-            "the ocean's file and 5 s of the wandering current",
+            "velocity of the water over ground, W; interpolate linearly",
         ),
         "current_lattice/time_s": (times.astype(np.float32), ["time"], "s", "times of samples"),
     } | {

@@ -34,7 +34,7 @@ class TeamTier(FileModel):
     problems: Annotated[int, Field(ge=1)]
     """Problems in each set with this team."""
     limit_s: Annotated[float, Field(gt=0)]
-    """Planning time for a problem on the named machine, s."""
+    """Planning time for a problem, s."""
 
 
 class WaterCondition(FileModel):

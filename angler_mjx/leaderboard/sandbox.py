@@ -6,6 +6,7 @@ folder for its plan. Memory, processor time, processes and file sizes are limite
 the whole sandbox is killed.
 """
 
+import itertools
 import json
 import math
 import os
@@ -32,7 +33,10 @@ FOLDER = "program"
 GRACE = 1.0
 """Seconds beyond the limit for starting the sandbox and the program."""
 NOBODY = 65534
-"""User and group inside, and outside where this process is root."""
+"""User and group inside."""
+FIRST_USER = 1_000_000
+"""Least number of users of sandboxes, above those of people and services."""
+_sandboxes = itertools.count()
 MAX_FILE_BYTES = 64 * 2**20
 """Size of a file that a program may write."""
 _SYSTEM_FOLDERS = ("/usr", "/bin", "/lib", "/lib64", "/etc/alternatives", "/etc/ld.so.cache")
@@ -95,15 +99,17 @@ def plan_set(
         record: of the set, in the manifest.
         problems: folder of problem files.
     """
+    bubblewrap = require_sandbox()
     return merge_rows(
         [
-            _plan_problem(source, config, entry, scenario, record, problems, world)
+            _plan_problem(bubblewrap, source, config, entry, scenario, record, problems, world)
             for world in range(entry.problems)
         ]
     )
 
 
 def _plan_problem(
+    bubblewrap: str,
     source: Path,
     config: ProgramConfig,
     entry: ProblemSet,
@@ -121,7 +127,7 @@ def _plan_problem(
         (folder / "out").mkdir()
         (folder / "out").chmod(0o777)
         begin = time.perf_counter()
-        fault = run_program(config, folder, entry.limit_s)
+        fault = run_program(bubblewrap, config, folder, entry.limit_s)
         seconds = time.perf_counter() - begin
         if fault:
             rows = submission.empty_rows(single, fault)
@@ -167,17 +173,18 @@ def extract_problem(group: Path, world: int, out: Path) -> None:
         (target / "zarr.json").write_text(json.dumps(metadata), encoding="utf-8")
 
 
-def run_program(config: ProgramConfig, folder: Path, limit_s: float) -> str:
+def run_program(bubblewrap: str, config: ProgramConfig, folder: Path, limit_s: float) -> str:
     """Run a program on one problem; returns what went wrong, or an empty text.
 
     Args:
+        bubblewrap: path of it.
         config: command and limits.
         folder: with ``program``, ``problem.zarr``, and ``out`` for the plan.
         limit_s: planning time.
     """
     command = [
         *_limit_resources(config, limit_s),
-        require_sandbox(),
+        bubblewrap,
         "--unshare-all",
         "--die-with-parent",
         "--new-session",
@@ -239,11 +246,15 @@ def run_program(config: ProgramConfig, folder: Path, limit_s: float) -> str:
 
 
 def _unprivileged() -> dict[str, Any]:
-    """Return the user that the sandbox runs as: nobody, where this process is root.
+    """Return the user that a sandbox runs as: a number of its own, where this process is root.
 
-    The kernel limits the processes of users other than root only.
+    The kernel limits the processes of users other than root only, and counts them by user: those of
+    an earlier sandbox that are still ending must not count.
     """
-    return {"user": NOBODY, "group": NOBODY, "extra_groups": []} if os.geteuid() == 0 else {}
+    if os.geteuid() != 0:
+        return {}
+    number = FIRST_USER + (os.getpid() * 1000 + next(_sandboxes)) % 2**30
+    return {"user": number, "group": number, "extra_groups": []}
 
 
 def _bind_system(path: str) -> Sequence[str]:

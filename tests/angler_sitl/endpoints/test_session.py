@@ -163,6 +163,19 @@ def test_gaps_shorter_than_the_limit_end_nothing(launch, connect):
     assert "GUIDED, armed, EKF good" in seen.status[0].note
 
 
+def test_a_link_that_is_lost_while_the_caller_stalls_is_a_loss_too(launch, connect):
+    vehicle = launch()
+    session = connect(losses=LossLimits(link_s=0.6))
+    session.arm()
+    run(session, 0.3)
+    vehicle.silent = True
+    time.sleep(0.7)
+    with pytest.raises(LossError, match="link_lost: robot_0"):
+        session.step()
+    assert session.outcomes == {"robot_0": "link_lost"}
+    assert vehicle.mode == POSHOLD
+
+
 def test_an_autopilot_that_restarts_is_named(launch, connect):
     vehicle = launch()
     session = connect()
