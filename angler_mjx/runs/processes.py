@@ -270,10 +270,12 @@ class ManyProcesses:
         """See `Processes`."""
         self._client.key_value_set(f"{KEY_ROOT}/{name}/{self.index}", json.dumps(value))
         while True:
+            failure = self._failure  # before the values: who came here and then failed was here
             values = self._read_values(name)
             if len(values) == self.count:
                 return [json.loads(values[i]) for i in range(self.count)]
-            self.check()
+            if failure is not None:
+                self.check()
             time.sleep(0.05)
 
     def stop(self) -> None:

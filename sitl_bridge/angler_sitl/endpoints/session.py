@@ -297,6 +297,7 @@ class EndpointSession(AutopilotSession[VehicleFleet]):
             RunError: one has none.
         """
         fleet, limits = self.autopilots, self.settings.losses
+        fleet.take_waiting()  # a packet that waited shows no living vehicle
         since_s = fleet.time_s
         until_s = since_s + REFRESH_TIMEOUT_S
         while any(pilot.position_good_s < since_s for pilot in fleet.pilots):

@@ -113,6 +113,12 @@ class VehicleFleet:
         self.polled_s = now_s
         return now_s
 
+    def take_waiting(self) -> None:
+        """Take what has waited since the last poll; it counts as if it had come then."""
+        for pilot in self.pilots:
+            pilot.tick(self.polled_s)
+            pilot.link.restart_delay()
+
     def wait(self) -> float:
         """Wait a moment while nothing is flown, and return the time."""
         self._sleep(_POLL_S)

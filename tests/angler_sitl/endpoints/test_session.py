@@ -168,6 +168,7 @@ def test_a_link_that_is_lost_while_the_caller_stalls_is_a_loss_too(launch, conne
     session = connect(losses=LossLimits(link_s=0.6))
     session.arm()
     run(session, 0.3)
+    time.sleep(0.3)  # its last packets wait, and are as old as the loss when they are read
     vehicle.silent = True
     time.sleep(0.7)
     with pytest.raises(LossError, match="link_lost: robot_0"):
