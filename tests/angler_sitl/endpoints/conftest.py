@@ -1,13 +1,15 @@
-"""Vehicles in threads, and sessions over them."""
+"""Vehicles on a clock of the tests, and sessions over them."""
 
+import functools
 import socket
 
 import pytest
 
 from angler_sitl.endpoints.session import EndpointSession, EndpointSettings
+from angler_sitl.endpoints.vehicles import VehicleFleet
 from angler_sitl.scene.scene import AutopilotScene
 
-from .fake_vehicle import FakeVehicle
+from .fake_vehicle import FakeVehicle, PlayedClock
 
 SCENE = """
 schema_version = 1
@@ -46,16 +48,24 @@ def port():
 
 
 @pytest.fixture
-def launch(port):
+def clock(monkeypatch):
+    """The clock of the vehicles and of those who command them."""
+    played = PlayedClock()
+    fleet = functools.partial(VehicleFleet, clock=played, sleep=played.sleep)
+    monkeypatch.setattr("angler_sitl.endpoints.connection.VehicleFleet", fleet)
+    return played
+
+
+@pytest.fixture
+def launch(port, clock):
     """A function: a vehicle that sends to the port."""
-    vehicles = []
 
     def start(sysid=1, **options):
-        vehicles.append(FakeVehicle(port, sysid, **options))
-        return vehicles[-1]
+        clock.vehicles.append(FakeVehicle(port, clock, sysid, **options))
+        return clock.vehicles[-1]
 
     yield start
-    for vehicle in vehicles:
+    for vehicle in clock.vehicles:
         vehicle.close()
 
 
@@ -75,7 +85,7 @@ def compiled(pool):
 
 
 @pytest.fixture
-def connect(pool, port, compiled, monkeypatch):
+def connect(pool, port, compiled, clock, monkeypatch):
     """A function: a session over the vehicles at the port."""
     monkeypatch.setattr("angler_sitl.endpoints.session.AutopilotScene", compiled)
     sessions = []

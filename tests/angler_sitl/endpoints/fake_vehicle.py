@@ -1,19 +1,35 @@
-"""A vehicle in a thread that speaks MAVLink over UDP: pymavlink's codec, and a point that moves.
+"""A vehicle that speaks MAVLink over UDP: pymavlink's codec, and a point that moves.
 
 It follows position targets in GUIDED at once, and knows nothing of the package. Faults are played
-by its attributes.
+by its attributes. It lives by a clock of the tests, which goes on while somebody sleeps: no result
+depends on how busy the machine is.
 """
 
 import math
 import socket
-import threading
-import time
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 PERIOD_S = 0.02
 GOOD, NO_POSITION = 831, 167
 LAT_E7, LON_E7 = 476_000_000, -1_223_000_000
+
+
+class PlayedClock:
+    """A clock that goes on by sleeping, and the vehicles that live meanwhile."""
+
+    def __init__(self):
+        self.time_s, self.vehicles = 50.0, []
+
+    def __call__(self):
+        return self.time_s
+
+    def sleep(self, seconds):
+        end_s = self.time_s + seconds
+        while self.time_s < end_s:
+            self.time_s = min(self.time_s + PERIOD_S / 2, end_s)
+            for vehicle in self.vehicles:
+                vehicle.live()
 
 
 class FakeVehicle:
@@ -25,29 +41,27 @@ class FakeVehicle:
         heard: messages that it received, by name.
     """
 
-    def __init__(self, port, sysid=1, kind=12, autopilot=3, start=(0.0, 0.0, 3.0), lon=LON_E7):
+    def __init__(
+        self, port, clock, sysid=1, kind=12, autopilot=3, start=(0.0, 0.0, 3.0), lon=LON_E7
+    ):
         self.sysid, self.kind, self.autopilot = sysid, kind, autopilot
         self.position, self.lon = list(start), lon
         self.mode, self.armed, self.origin = 19, False, True
         self.silent = self.blind = self.frozen = self.no_numbers = self.stuck = False
         self.refuses, self.heard = set(), {}
-        self._stamp_ms, self._began_s = 10_000, time.monotonic() - 10.0
+        self.clock, self._due_s = clock, clock()
+        self._stamp_ms, self._began_s = 10_000, clock() - 10.0
         self.codec = mav.MAVLink(None, srcSystem=sysid, srcComponent=1)
         self.codec.robust_parsing = True
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.connect(("127.0.0.1", port))
-        self.socket.settimeout(PERIOD_S)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+        self.socket.setblocking(False)
 
     def close(self):
-        self._ended.set()
-        self._thread.join(5.0)
         self.socket.close()
 
     def reboot(self):
-        self._began_s = time.monotonic()
+        self._began_s = self.clock()
 
     def count(self, name):
         return len(self.heard.get(name, []))
@@ -59,22 +73,21 @@ class FakeVehicle:
             except ConnectionError:
                 return
 
-    def _run(self):
-        due = time.monotonic()
-        while not self._ended.is_set():
-            try:
-                data = self.socket.recv(65536)
-            except (TimeoutError, ConnectionError):
-                data = b""
-            for message in self.codec.parse_buffer(data) or ():
-                self._hear(message)
-            if time.monotonic() >= due:
-                due = time.monotonic() + PERIOD_S
-                self._speak()
+    def live(self):
+        """Receive what has come, and speak if it is time."""
+        try:
+            while True:
+                for message in self.codec.parse_buffer(self.socket.recv(65536)) or ():
+                    self._hear(message)
+        except (BlockingIOError, ConnectionError):
+            pass
+        if self.clock() >= self._due_s:
+            self._due_s = self.clock() + PERIOD_S
+            self._speak()
 
     def _speak(self):
         if not self.frozen:
-            self._stamp_ms = round(1e3 * (time.monotonic() - self._began_s))
+            self._stamp_ms = round(1e3 * (self.clock() - self._began_s))
         self.say(
             mav.MAVLink_heartbeat_message(
                 self.kind, self.autopilot, 128 * self.armed, self.mode, 4, 3

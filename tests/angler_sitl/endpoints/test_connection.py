@@ -17,7 +17,7 @@ DEG = 1e-7
 
 
 @pytest.fixture
-def reach(port):
+def reach(port, clock):
     """A function: the vehicles at the port, open."""
     fleets = []
 
