@@ -9,7 +9,7 @@ from angler_mjx.errors import ConfigError
 
 
 def import_mission(
-    file: Annotated[Path, tyro.conf.Positional],
+    files: Annotated[tuple[Path, ...], tyro.conf.Positional],
     origin: str | None = None,
     kind: Literal["plan", "tour"] = "plan",
     vehicle: str = "bluerov2_heavy",
@@ -18,15 +18,15 @@ def import_mission(
     out: Path | None = None,
     plans: Path | None = None,
 ) -> None:
-    """Import a mission of QGroundControl, Mission Planner or MAVProxy; list what differs from it.
+    """Import missions of QGroundControl, Mission Planner or MAVProxy; list what differs from them.
 
     Args:
-        file: Mission file: .plan, or way-points in the format QGC WPL 110.
+        files: Mission file of each robot: .plan, or way-points in the format QGC WPL 110.
         origin: Latitude, longitude and, if not 0, the altitude of the water's surface at the origin
-            of the world, as in --origin=47.6,-122.3; the mission's home if left out.
-        kind: A plan with the mission's speeds and holds, in a file beside the scenario; or a tour
-            whose paths a planner finds.
-        vehicle: Name of a shipped vehicle, or path of a vehicle file.
+            of the world, as in --origin=47.6,-122.3; the first mission's home if left out.
+        kind: Plans with the missions' speeds and holds, in a file beside the scenario; or a tour
+            of one mission whose paths a planner finds.
+        vehicle: Name of a shipped vehicle, or path of a vehicle file; of all robots.
         parameters: File with the vehicle's parameters (.param or .params), for WPNAV_SPEED and the
             like; ArduSub's defaults if left out.
         worlds: Number of worlds of the scenario.
@@ -40,13 +40,15 @@ def import_mission(
     from angler_mjx.runs.storage.atomic_files import replace_file, require_free
 
     require_positive("--worlds", worlds)
+    if not files:
+        raise ConfigError("no mission file; give one for each robot")
     limits = VehicleLimits()
     if parameters is not None:
         from angler_sitl.firmware.parameters import read_parameters
 
         limits = importing.read_limits(read_parameters(parameters), limits)
-    imported = importing.import_mission(
-        file,
+    imported = importing.import_missions(
+        files,
         origin=None if origin is None else parse_origin(origin),
         kind=kind,
         vehicle=vehicle,
@@ -64,8 +66,9 @@ def import_mission(
         writing.write_text(imported.text, encoding="utf-8")
     for note in imported.notes:
         print(note)
-    planned = imported.planned
-    print(f"{len(imported.route)} stops, {planned.duration_s:.1f} s")
+    for mission in imported.missions:
+        of_file = f"{mission.mission.file.name}: " if len(files) > 1 else ""
+        print(f"{of_file}{len(mission.route)} stops, {mission.planned.duration_s:.1f} s")
     print(target)
     if kind == "plan":
         print(plan_file)

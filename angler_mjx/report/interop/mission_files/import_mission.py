@@ -1,4 +1,4 @@
-"""Import of a mission file: its scenario and its plan, and a list of differences."""
+"""Import of mission files: their scenario and plans, and a list of differences."""
 
 import math
 from collections.abc import Sequence
@@ -27,6 +27,7 @@ from angler_mjx.robot.control.commands import joint_goal
 from angler_mjx.robot.control.commands.joint_trajectory import VEHICLE_JOINTS
 from angler_mjx.robot.importing.notes import Note, Notes
 from angler_mjx.robot.importing.toml_text import format_tables
+from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.simulator.host_planning import PlanNotes
 from angler_mjx.runs.storage.plans.write import open_writer
 from angler_mjx.scenario.fleet_entry import FleetEntry
@@ -62,21 +63,33 @@ _HORIZON_FACTOR, _HORIZON_MARGIN_S, _MAX_HORIZON_S = 2.0, 60.0, 86_400.0
 _MIN_LIMIT = 1e-3
 """Smallest limit of speed, acceleration, jerk, radius or rate, in SI units."""
 _HOME_TOLERANCE_M = 1.0
+_MAX_NAME = 100
+_START_GAP_M = 1.0
+"""Free water between robots that start from one home."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImportedMission:
-    """Scenario and plan of a mission file, and how they differ from it."""
+    """Plan of the mission file of one robot."""
 
     mission: Mission
+    start_m: Position
+    route: tuple[Stop, ...]
+    planned: PlannedMission
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportedFleet:
+    """Scenario of the mission files of a fleet, and how it differs from them."""
+
+    missions: tuple[ImportedMission, ...]
+    """Of each robot."""
     origin: GeodeticOrigin
     """Of W."""
     scenario: Scenario
     text: str
     """TOML text of the scenario, with the notes as comments."""
     notes: tuple[Note, ...]
-    route: tuple[Stop, ...]
-    planned: PlannedMission
 
 
 def read_mission(path: Path, notes: Notes) -> Mission:
@@ -114,112 +127,140 @@ def read_limits(parameters: dict[str, float], limits: VehicleLimits) -> VehicleL
     return replace(limits, **values)
 
 
-def import_mission(
-    path: Path,
+def import_missions(
+    paths: Sequence[Path],
     *,
     origin: GeodeticOrigin | None = None,
     kind: MissionKind = "plan",
     vehicle: str = "bluerov2_heavy",
     worlds: int = 1,
     limits: VehicleLimits | None = None,
-) -> ImportedMission:
-    """Import a mission.
+) -> ImportedFleet:
+    """Import the mission of each robot of a fleet.
 
     Args:
-        path: of the mission file.
-        origin: position of W; the mission's home if left out.
-        kind: what it becomes.
-        vehicle: name of a shipped vehicle, or path of a vehicle file.
+        paths: of the mission files, one for each robot.
+        origin: position of W; the home of the first mission if left out.
+        kind: what they become; a tour is one mission's.
+        vehicle: name of a shipped vehicle, or path of a vehicle file; of all robots.
         worlds: number of worlds of the scenario.
         limits: of the firmware; ArduSub's defaults if left out.
 
     Raises:
-        ConfigError: a fault of the file, or a mission that cannot be flown; names file and item.
+        ConfigError: a fault of a file, or a mission that cannot be flown; names file and item.
     """
-    notes = Notes()
-    mission = read_mission(path, notes)
-    located = locate_world(mission, origin, notes)
+    if kind == "tour" and len(paths) > 1:
+        raise ConfigError(
+            f"--kind tour: {len(paths)} files; a fleet's tour has one list of positions: give one "
+            "file, or --kind plan"
+        )
     entry = parse_model(FleetEntry, {"vehicle": vehicle}, source="--vehicle")
-    capable = limit_speed(limits or VehicleLimits(), entry, notes)
+    imported: list[ImportedMission] = []
+    notes: list[Note] = []
+    for path in paths:
+        found = Notes()
+        mission = read_mission(path, found)
+        origin = locate_world(mission, origin, found)
+        capable = limit_speed(limits or VehicleLimits(), entry, found)
+        starts = [other.start_m for other in imported]
+        imported.append(_plan_mission(mission, origin, capable, kind, starts, entry, found))
+        of_file = f"{path.name}: " if len(paths) > 1 else ""
+        notes += [replace(note, text=of_file + note.text) for note in found]
+    assert origin is not None
+    tables = _build_tables(imported, capable, kind, vehicle, worlds)
+    names = ", ".join(path.name for path in paths)
+    scenario = parse_model(Scenario, tables, source=f"{names} as a scenario")
+    head = [
+        f"# Mission {_one_line(names)}, imported by `angler mission import`.",
+        f"# W is at latitude {origin.latitude_deg:.9g}, longitude {origin.longitude_deg:.9g}, "
+        f"with the surface at {origin.altitude_m:g} m.",
+        *(f"# {_one_line(str(note))}" for note in notes),
+    ]
+    return ImportedFleet(
+        missions=tuple(imported),
+        origin=origin,
+        scenario=scenario,
+        text="\n".join(head) + "\n\n" + format_tables(tables),
+        notes=tuple(notes),
+    )
+
+
+def _plan_mission(
+    mission: Mission,
+    origin: GeodeticOrigin,
+    limits: VehicleLimits,
+    kind: MissionKind,
+    starts_m: Sequence[Position],
+    entry: FleetEntry,
+    notes: Notes,
+) -> ImportedMission:
+    """Plan a mission from its home, apart from the starts of the robots before it."""
     top_m = TOP_M
     if kind == "tour":
-        start = _start(mission, located, TOP_M)
-        stops = build_route(mission, located, capable, Notes(), start_m=start, top_m=TOP_M)
+        start = _start(mission, origin, TOP_M)
+        stops = build_route(mission, origin, limits, Notes(), start_m=start, top_m=TOP_M)
         cell = _choose_cell(np.array([start, *(stop.position_m for stop in stops)]))
         top_m = -_TOUR_TOP_CELLS * cell
-    start = _start(mission, located, top_m)
+    home = _start(mission, origin, top_m)
+    apart = round(2.0 * library.reach_m(library.load_vehicle(entry.vehicle)) + _START_GAP_M, 1)
+    start = home
+    while any(math.dist(start, other) < 0.99 * apart for other in starts_m):
+        start = (round(start[0] + apart, 6), *start[1:])
+    where = "" if mission.home is None else ", below home"
+    if start != home:
+        where = f", {start[0] - home[0]:.1f} m east of where another one starts"
     notes.add(
         "assumed",
-        f"the vehicle starts at rest at ({start[0]:.1f}, {start[1]:.1f}, {start[2]:.1f}) m"
-        + ("" if mission.home is None else ", below home"),
+        f"the vehicle starts at rest at ({start[0]:.1f}, {start[1]:.1f}, {start[2]:.1f}) m{where}",
     )
-    route = build_route(mission, located, capable, notes, start_m=start, top_m=top_m)
+    route = build_route(mission, origin, limits, notes, start_m=start, top_m=top_m)
     goal = route[-1].position_m
     planned = build_goal(
         route,
-        capable,
+        limits,
         start_m=start,
         start_yaw_rad=math.atan2(goal[1] - start[1], goal[0] - start[0]),
     )
     if len(planned.goal.points) > MAX_POINTS:
         raise ConfigError(
-            f"{format_path(path)}: takes a plan of {len(planned.goal.points)} points, {MAX_POINTS} "
-            "are the most; divide the mission"
+            f"{format_path(mission.file)}: takes a plan of {len(planned.goal.points)} points, "
+            f"{MAX_POINTS} are the most; divide the mission"
         )
     if kind == "tour":
         _note_tour(route, notes)
-    tables = _build_tables(mission, route, planned, capable, kind, vehicle, worlds, start)
-    listed = tuple(notes)
-    scenario = parse_model(
-        Scenario,
-        tables,
-        source=f"{path} as a scenario",
-    )
-    head = [f"# Mission {path.name}, imported by `angler mission import`."]
-    head.append(
-        f"# W is at latitude {located.latitude_deg:.9g}, longitude {located.longitude_deg:.9g}, "
-        f"with the surface at {located.altitude_m:g} m."
-    )
-    head += [f"# {_one_line(str(note))}" for note in listed]
-    text = "\n".join(head) + "\n\n" + format_tables(tables)
-    return ImportedMission(
-        mission=mission,
-        origin=located,
-        scenario=scenario,
-        text=text,
-        notes=listed,
-        route=route,
-        planned=planned,
-    )
+    return ImportedMission(mission=mission, start_m=start, route=route, planned=planned)
 
 
-def write_plans(path: Path, imported: ImportedMission) -> None:
-    """Write the plan of a mission as a file of plans, the same for all worlds.
+def write_plans(path: Path, imported: ImportedFleet) -> None:
+    """Write the plans of missions as a file of plans, the same for all worlds.
 
     Args:
         path: of the Zarr group; must not exist.
-        imported: the mission.
+        imported: the missions.
 
     Raises:
         ConfigError: the path exists.
         RunError: it cannot be written.
     """
-    scenario, goal = imported.scenario, imported.planned.goal
-    trajectory = joint_goal.build_trajectory(
-        goal, joints=VEHICLE_JOINTS, position=goal.points[0].positions
-    )
-    worlds = scenario.worlds
+    scenario = imported.scenario
+    goals = [mission.planned.goal for mission in imported.missions]
+    size = max(len(goal.points) for goal in goals)
+    trajectories = [
+        joint_goal.build_trajectory(
+            goal, joints=VEHICLE_JOINTS, position=goal.points[0].positions, size=size
+        )
+        for goal in goals
+    ]
+    worlds, robots = scenario.worlds, len(goals)
+    fleet = jax.tree.map(lambda *leaves: np.stack([np.asarray(x) for x in leaves]), *trajectories)
     paths = replace(
-        jax.tree.map(
-            lambda leaf: np.broadcast_to(np.asarray(leaf), (worlds, 1, *np.shape(leaf))),
-            trajectory,
-        ),
-        found=np.ones((worlds, 1), bool),
+        jax.tree.map(lambda leaf: np.broadcast_to(leaf, (worlds, *np.shape(leaf))), fleet),
+        found=np.ones((worlds, robots), bool),
     )
     shape = PathShape(points=paths.time_s.shape[-1], joints=True)
     writer = open_writer(path, scenario, shape, resume=False, tile=worlds)
     with writer.keeping():
-        none = np.full((worlds, 1), "", object)
+        none = np.full((worlds, robots), "", object)
         notes = PlanNotes(planning_s=np.zeros(worlds), status=none[:, 0], reason=none)
         writer.write(0, paths, notes)
         writer.publish()
@@ -298,30 +339,37 @@ def _note_tour(route: Sequence[Stop], notes: Notes) -> None:
 
 
 def _build_tables(
-    mission: Mission,
-    route: Sequence[Stop],
-    planned: PlannedMission,
+    missions: Sequence[ImportedMission],
     limits: VehicleLimits,
     kind: MissionKind,
     vehicle: str,
     worlds: int,
-    start: Position,
 ) -> dict[str, Any]:
-    points = np.array([start, *(p.positions[:3] for p in planned.goal.points)])
+    points = np.array(
+        [
+            position
+            for mission in missions
+            for position in (
+                mission.start_m,
+                *(point.positions[:3] for point in mission.planned.goal.points),
+            )
+        ]
+    )
     cell = _choose_cell(points)
     extent, depth = _measure_extent(points)
     shape = [max(4, 2 * math.ceil(edge / cell)) for edge in extent]
-    horizon = math.ceil(_HORIZON_FACTOR * planned.duration_s + _HORIZON_MARGIN_S)
+    longest = max(missions, key=lambda mission: mission.planned.duration_s)
+    horizon = math.ceil(_HORIZON_FACTOR * longest.planned.duration_s + _HORIZON_MARGIN_S)
     if horizon > _MAX_HORIZON_S:
         raise ConfigError(
-            f"{format_path(mission.file)}: takes {planned.duration_s:.0f} s; a scenario has "
-            f"{_MAX_HORIZON_S:g} s at most: shorten its holds, or divide it"
+            f"{format_path(longest.mission.file)}: takes {longest.planned.duration_s:.0f} s; a "
+            f"scenario has {_MAX_HORIZON_S:g} s at most: shorten its holds, or divide it"
         )
-    speed = planned.max_speed_mps if kind == "plan" else max(stop.speed_mps for stop in route)
+    names = ", ".join(_one_line(mission.mission.file.name) for mission in missions)
     tables: dict[str, Any] = {
         "schema_version": 1,
-        "name": _name(mission.file),
-        "description": f"Mission {_one_line(mission.file.name)}",
+        "name": "_".join(_name(mission.mission.file) for mission in missions)[:_MAX_NAME],
+        "description": f"Mission {names}",
         "worlds": worlds,
         "seed": 1,
         "time": {"horizon_s": float(horizon)},
@@ -331,26 +379,30 @@ def _build_tables(
             "cell_m": round(cell, 3) if cell > _MIN_CELL_M else _MIN_CELL_M,
             "depth_m": 0.0,
             "placement": "given",
-            "start_m": [list(start)],
-            "goal_m": [[round(x, 6) for x in route[-1].position_m]],
+            "start_m": [list(mission.start_m) for mission in missions],
+            "goal_m": [[round(x, 6) for x in mission.route[-1].position_m] for mission in missions],
         },
         "fleet": [
-            {
-                "vehicle": vehicle,
-                # Rounded up: paths faster than the cruise speed are refused.
-                "cruise_speed_mps": math.ceil(1e4 * max(speed, 0.05)) / 1e4,
-            }
+            {"vehicle": vehicle, "cruise_speed_mps": _find_speed(mission, kind)}
+            for mission in missions
         ],
     }
     if kind == "tour":
         tables["task"] = {
             "type": "tour",
-            "positions_m": [[round(x, 6) for x in stop.position_m] for stop in route],
+            "positions_m": [[round(x, 6) for x in stop.position_m] for stop in missions[0].route],
             "shared": False,
             "ordered": True,
             "tolerance_m": limits.radius_m,
         }
     return tables
+
+
+def _find_speed(mission: ImportedMission, kind: MissionKind) -> float:
+    """Return the cruise speed of a mission, rounded up: faster paths are refused, m/s."""
+    fastest = mission.planned.max_speed_mps
+    speed = fastest if kind == "plan" else max(stop.speed_mps for stop in mission.route)
+    return math.ceil(1e4 * max(speed, 0.05)) / 1e4
 
 
 def _measure_extent(points: np.ndarray) -> tuple[np.ndarray, float]:

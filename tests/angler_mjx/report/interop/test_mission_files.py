@@ -3,6 +3,7 @@
 import json
 import math
 import random
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.report.interop.mission_files import export_mission as exporting
 from angler_mjx.report.interop.mission_files import speed_profile
 from angler_mjx.report.interop.mission_files.import_mission import (
-    import_mission,
+    import_missions,
     read_limits,
     read_mission,
 )
@@ -82,6 +83,13 @@ def write(tmp_path):
         return path
 
     return write
+
+
+def import_mission(path, **options):
+    """The import of one mission: of its robot and of its scenario."""
+    imported = import_missions([path], **options)
+    (mission,) = imported.missions
+    return SimpleNamespace(**(vars(imported) | vars(mission)))
 
 
 def positions(imported):
@@ -289,6 +297,52 @@ def test_pymavlink_reads_the_same_waypoints(write):
         assert theirs.param1 == pytest.approx(mission_item.parameter(1))
         got = (mission_item.latitude_deg, mission_item.longitude_deg, mission_item.altitude_m)
         assert (theirs.x, theirs.y, theirs.z) == pytest.approx(got)
+
+
+# ---------------------------------------------------------------- fleets
+
+
+def test_each_robot_has_its_mission_in_the_world_of_the_first_home(write, tmp_path):
+    west = [HOME[0], HOME[1] - 1e-3]
+    a = write(plan([speed(0.4), waypoint(2, 0, -4, hold=3)]), "a.plan")
+    b = write(plan([speed(0.3), waypoint(1, -10, -6)], plannedHomePosition=[*west, 0]), "b.plan")
+    out = tmp_path / "both.toml"
+    main(["mission", "import", str(a), str(b), "--worlds", "2", "--out", str(out)])
+    scenario = load_scenario(out)
+    np.testing.assert_allclose(scenario.world.start_m[1], [-10 * EAST_M, 0, -0.5], atol=2e-2)
+    np.testing.assert_allclose(scenario.world.goal_m[0], [0, 2 * NORTH_M, -4], atol=2e-2)
+    np.testing.assert_allclose(scenario.world.goal_m[1], [-10 * EAST_M, NORTH_M, -6.0], atol=2e-2)
+    # Cruise speeds are those along the paths, whose horizontal parts are 0.4 and 0.3 m/s.
+    level = [2 * NORTH_M, NORTH_M]
+    drops = [3.5, 5.5]
+    for entry, mps, flat, drop in zip(scenario.fleet, (0.4, 0.3), level, drops, strict=True):
+        assert entry.cruise_speed_mps == pytest.approx(
+            mps * math.hypot(flat, drop) / flat, rel=0.01
+        )
+    (first, _), (second, end) = (
+        exporting.read_path(tmp_path / "both.zarr", 1, robot) for robot in (0, 1)
+    )
+    assert first[-1] > second[-1] > 30.0
+    np.testing.assert_allclose(end[-1], scenario.world.goal_m[1], atol=1e-3)
+
+
+def test_robots_from_one_home_start_apart(write):
+    paths = [write(plan([waypoint(2, i, -4)]), f"{i}.plan") for i in range(3)]
+    imported = import_missions(paths)
+    start = np.array(imported.scenario.world.start_m)
+    gaps = np.linalg.norm(start[:, None] - start, axis=-1)[np.triu_indices(3, 1)]
+    assert gaps.min() > 1.5  # a BlueROV2 is 0.57 m wide
+    assert gaps.min() < 2.5
+    said = [str(note) for note in imported.notes]
+    assert any(text.startswith("assumed: 1.plan: the vehicle starts") for text in said)
+    assert sum("m east of where another one starts" in text for text in said) == 2
+    assert not any("below home" in text for text in said if "2.plan" in text)
+
+
+def test_a_tour_is_of_one_mission(write):
+    paths = [write(plan([waypoint(2, i, -4)]), f"{i}.plan") for i in range(2)]
+    with pytest.raises(ConfigError, match="--kind tour: 2 files"):
+        import_missions(paths, kind="tour")
 
 
 # ---------------------------------------------------------------- bad input
