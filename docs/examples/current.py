@@ -1,4 +1,4 @@
-"""Change the water of a scenario: the same worlds in still water, and in a stream with eddies.
+"""Change the water of a scenario: the same worlds in a slow and in a fast stream with eddies.
 
 Tables of a scenario are merged into its file; a list, as that of the currents, replaces the file's.
 """
@@ -7,24 +7,25 @@ import jax.numpy as jnp
 
 import angler_mjx as angler
 
-WATER = {
-    "still": [],
-    "eddies": [
-        {"type": "uniform", "velocity_mps": [-0.2, 0.0, 0.0]},
-        {"type": "vortices", "count": 4, "peak_speed_mps": [0.2, 0.4], "core_radius_m": [2.0, 4.0]},
-    ],
-}
+
+def build_currents(speed_mps: float) -> list[dict[str, object]]:
+    """Return a steady stream against the fleet, a slow wander on top, and wide eddies."""
+    peak = [speed_mps, 2 * speed_mps]
+    return [
+        {"type": "uniform", "velocity_mps": [-speed_mps, 0.0, 0.0]},
+        {"type": "gauss_markov", "max_speed_mps": speed_mps, "time_constant_s": 90.0},
+        {"type": "vortices", "count": 4, "peak_speed_mps": peak, "core_radius_m": [2.0, 4.0]},
+    ]
 
 
-def main(seconds: float = 10.0) -> dict[str, float]:
+def main(seconds: float = 60.0) -> dict[str, float]:
     """Return the mean electrical power [W] of the robots in each water."""
     power_w = {}
-    for name, currents in WATER.items():
+    for name, speed_mps in (("slow", 0.02), ("fast", 0.2)):
         scenario = angler.load_scenario(
             "open_water_current",
-            worlds=4,
-            tile=4,
-            world={"currents": currents},
+            worlds=8,
+            world={"currents": build_currents(speed_mps)},
             time={"horizon_s": seconds},
         )
         simulator = angler.Simulator(scenario)

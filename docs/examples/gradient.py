@@ -13,7 +13,7 @@ import angler_mjx as angler
 
 def main(speed_mps: float = 0.3, steps: int = 20) -> tuple[float, float]:
     """Return the derivative of the mean distance [m] by the speed [m/s], and the difference."""
-    scenario = angler.load_scenario("open_water_current", worlds=2, tile=2)
+    scenario = angler.load_scenario("open_water_current", worlds=8, time={"horizon_s": 60.0})
     simulator = angler.Simulator(scenario, policy=Straight())
     worlds = simulator.worlds(seed=3)
     start = simulator.reset(worlds)
@@ -31,10 +31,13 @@ def main(speed_mps: float = 0.3, steps: int = 20) -> tuple[float, float]:
         )
         return jnp.linalg.norm(after.vehicles.p - worlds.environment.goal_m, axis=-1).mean()
 
-    speed, step = jnp.float32(speed_mps), 0.01
-    slope = float(jax.jit(jax.jacfwd(distance_m))(speed))
-    compiled = jax.jit(distance_m)
-    difference = float(compiled(speed + step) - compiled(speed - step)) / (2 * step)
+    def fly(speed: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return jax.jvp(distance_m, (speed,), (jnp.ones_like(speed),))
+
+    compiled, step = jax.jit(fly), 0.01
+    slope = float(compiled(jnp.float32(speed_mps))[1])
+    farther, nearer = (compiled(jnp.float32(speed_mps + by))[0] for by in (-step, step))
+    difference = float(nearer - farther) / (2 * step)
     print(f"derivative {slope:.4f}, difference {difference:.4f} m per m/s")
     return slope, difference
 

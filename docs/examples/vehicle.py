@@ -6,8 +6,6 @@ about mass, thrust and terminal speeds.
 
 from pathlib import Path
 
-import numpy as np
-
 import angler_mjx as angler
 from angler_mjx.robot.vehicles import library
 
@@ -20,25 +18,27 @@ def write_vehicle(path: Path) -> None:
 
 
 def main(folder: Path = Path(".")) -> dict[str, float]:
-    """Return how far [m] each vehicle has come after 10 s."""
+    """Return the mean energy [J] that a robot of each vehicle has used after a minute."""
     file = folder / "heavier.toml"
     write_vehicle(file)
-    moved_m = {}
+    energy_j = {}
     for vehicle in ("bluerov2_heavy", str(file)):
-        fleet = [{"vehicle": vehicle, "count": 2, "parameter_set": "von_benzon2022"}]
+        fleet = [
+            {"vehicle": vehicle, "count": 2, "parameter_set": name}
+            for name in ("blue_gazebo", "von_benzon2022")
+        ]
         scenario = angler.load_scenario(
-            "open_water_current", worlds=4, tile=4, fleet=fleet, time={"horizon_s": 10.0}
+            "open_water_current", worlds=8, fleet=fleet, time={"horizon_s": 60.0}
         )
         simulator = angler.Simulator(scenario)
         worlds = simulator.worlds(seed=3)
         state = simulator.reset(worlds)
-        start_m = np.array(state.vehicles.p)  # a copy: segments reuse the state's memory
         for _ in range(simulator.segments):
             state, _ = simulator.segment(worlds, state)
-        moved = np.linalg.norm(state.vehicles.p - start_m, axis=-1).mean()
-        moved_m[Path(vehicle).stem] = float(moved)
-        print(f"{Path(vehicle).stem}: {float(moved):.2f} m")
-    return moved_m
+        name = Path(vehicle).stem
+        energy_j[name] = float(state.tally.energy_j.mean())
+        print(f"{name}: {energy_j[name] / 1000:.1f} kJ")
+    return energy_j
 
 
 if __name__ == "__main__":
