@@ -60,7 +60,7 @@ def test_vehicle_a_heavier_one_needs_more_energy(tmp_path, monkeypatch):
 
 def test_task_a_larger_team_has_seen_more(tmp_path, monkeypatch):
     seen = load("task", monkeypatch).main(tmp_path)
-    assert 0 < seen[2] < seen[4] <= 1
+    assert 0 < seen[3] < seen[4] <= 1
 
 
 def test_gradient_is_the_difference_of_flights(monkeypatch):

@@ -9,9 +9,9 @@ import angler_mjx as angler
 
 
 def main(out: Path = Path("runs"), seconds: float = 30.0) -> dict[int, float]:
-    """Return the mean fraction of the reef that teams of two and of four have seen."""
+    """Return the mean fraction of the reef that teams of three and of four have seen."""
     seen = {}
-    for robots in (2, 4):
+    for robots in (3, 4):
         scenario = angler.load_scenario(
             "reef_survey",
             worlds=4,
