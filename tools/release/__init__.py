@@ -1,1 +1,1 @@
-"""Release: versions that agree, files built in a clean folder, judged, and tried where no checkout is."""
+"""Release: versions that agree, files built in a clean folder and judged, a trial elsewhere."""

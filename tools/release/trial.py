@@ -1,4 +1,4 @@
-"""Trial of a release: a new environment, a new home, no checkout; pip, then the README's commands."""
+"""Trial of a release without the checkout: a new environment, pip, the README's commands."""
 
 import json
 import re
@@ -130,7 +130,14 @@ def write_bill_of_materials(
     Raises:
         ReleaseError: the program failed, or does not list the wheels.
     """
-    words = [tool, "environment", "--spec-version", "1.6", "--output-reproducible", python]
+    words: list[str | Path] = [
+        tool,
+        "environment",
+        "--spec-version",
+        "1.6",
+        "--output-reproducible",
+        python,
+    ]
     bill = json.loads(run_process(words, out.parent, environment).output)
     for component in bill["components"]:
         references = component.get("externalReferences", [])
