@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from angler_mjx.cli import main as cli
 from tools.release import __main__ as release
 from tools.release import contents, trial, versions
 from tools.release.processes import ReleaseError, clean_environment, run_process
@@ -214,6 +215,7 @@ def test_members_of_both_kinds_are_read(tmp_path):
 def test_the_trial_runs_what_the_readme_prints():
     commands = trial.read_first_commands((ROOT / "README.md").read_text())
     assert commands == ["angler rollout reef_fleet --worlds 16 --out runs/first"]
+    assert {line.split()[1] for line in trial.MORE_COMMANDS} <= set(cli.COMMANDS)
     with pytest.raises(ReleaseError, match="Install"):
         trial.read_first_commands("# x\n\n## Install\n\n```sh\nmake venv\n```\n")
 

@@ -88,7 +88,7 @@ def make_release(
     shutil.copy(source / CONSTRAINTS, made / "dist")
     if options.trial:
         fresh = clean_environment(made / "stranger")
-        tried, steps = trial.try_release(
+        tried = trial.try_release(
             made / "trial",
             files,
             made / "dist" / CONSTRAINTS,
@@ -96,9 +96,8 @@ def make_release(
             version,
             fresh,
             python,
+            _print_step,
         )
-        for step in steps:
-            print(f"release: {step.seconds:6.1f} s  {step.command}", flush=True)
         bill = made / "dist" / BILL
         trial.write_bill_of_materials(tried, programs / "cyclonedx-py", bill, environment)
         if str(made) in bill.read_text(encoding="utf-8"):
@@ -108,6 +107,10 @@ def make_release(
     shutil.copytree(made / "dist", options.out)
     for path in sorted(options.out.iterdir()):
         print(f"release: {path.stat().st_size:>10,} bytes  {path}")
+
+
+def _print_step(step: trial.TrialStep) -> None:
+    print(f"release: {step.seconds:6.1f} s  {step.command}", flush=True)
 
 
 def _judge_files(

@@ -3,7 +3,7 @@
 import json
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,8 @@ from tools.release.processes import ReleaseError, make_environment, run_process
 
 MORE_COMMANDS = (
     "angler leaderboard problems --sets open-still-01 --out problems",
-    "angler planners",
+    "angler doctor",
+    "angler scenarios show carry_pipe",
     "angler vehicle show bluerov2_heavy",
 )
 """Commands beside those of the README: they read files that the wheel ships."""
@@ -52,7 +53,8 @@ def try_release(
     version: str,
     environment: Mapping[str, str],
     python: Path,
-) -> tuple[Path, list[TrialStep]]:
+    report: Callable[[TrialStep], None],
+) -> Path:
     """Install the wheels as a stranger does, and run what the README prints.
 
     Args:
@@ -63,10 +65,11 @@ def try_release(
         version: version that the command has to name.
         environment: variables, none of the checkout.
         python: interpreter to try.
+        report: receives each step when it has ended: environment, pip, the README's commands,
+            others, an extra, the second wheel.
 
     Returns:
-        The interpreter of the new environment, and the steps in their order: environment, pip, the
-        README's commands, others, the second wheel.
+        The interpreter of the new environment.
 
     Raises:
         ReleaseError: a step failed, or something comes from elsewhere than the environment.
@@ -74,13 +77,12 @@ def try_release(
     work = folder / "work"
     work.mkdir(parents=True)
     programs, seconds = make_environment(folder / "venv", environment, python)
-    steps = [TrialStep(command="python -m venv", seconds=seconds)]
+    report(TrialStep(command="python -m venv", seconds=seconds))
     inside = {**environment, "PATH": f"{programs}:{environment['PATH']}"}
 
-    def take(line: str, words: list[str | Path] | None = None) -> str:
+    def take(line: str, words: Sequence[str | Path] | None = None) -> None:
         done = run_process(words or shlex.split(line), work, inside)
-        steps.append(TrialStep(command=line, seconds=done.seconds))
-        return done.output
+        report(TrialStep(command=line, seconds=done.seconds))
 
     pip: list[str | Path] = [programs / "pip", "install", "--quiet"]
     wheel, second = files["angler_mjx"], files["angler_experiments"]
@@ -92,7 +94,7 @@ def try_release(
     take(f"pip install '{AN_EXTRA}'", [*pip, AN_EXTRA, "-c", constraints])
     take(f"pip install {second.name}", [*pip, second, "-c", constraints])
     _judge_installed(programs / "python", version, work, inside)
-    return programs / "python", steps
+    return programs / "python"
 
 
 def _judge_installed(
