@@ -244,6 +244,13 @@ def test_a_process_gets_nothing_of_this_checkout(tmp_path, monkeypatch):
     assert done.output.strip() == str(tmp_path / "home")
 
 
+def test_seconds_are_those_of_the_clock_and_of_processors(tmp_path):
+    script = "import time\ntime.sleep(1)\nwhile time.process_time() < 0.5: pass"
+    done = run_process([sys.executable, "-c", script], tmp_path, clean_environment(tmp_path / "h"))
+    assert done.seconds > 1.4
+    assert 0.5 <= done.cpu_seconds < 1.4
+
+
 def test_a_failed_process_is_told_with_its_output(tmp_path):
     words = [sys.executable, "-c", "import sys; print('why'); sys.exit(3)"]
     with pytest.raises(ReleaseError, match=r"exit status 3\nwhy"):

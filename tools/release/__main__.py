@@ -79,7 +79,7 @@ def make_release(
     start = time.monotonic()
     environment = clean_environment(made / "home", {"SOURCE_DATE_EPOCH": str(seconds)})
     python = Path(sys.base_prefix) / "bin" / Path(sys.executable).resolve().name
-    programs, _ = make_environment(made / "tools", environment, python)
+    programs = make_environment(made / "tools", environment, python)
     run_process([programs / "pip", "install", "--quiet", "-r", REQUIREMENTS], made, environment)
     source = export_commit(ROOT, commit, made / "source")
     files = build_distributions(source, made / "dist", programs / "python", environment)
@@ -110,7 +110,9 @@ def make_release(
 
 
 def _print_step(step: trial.TrialStep) -> None:
-    print(f"release: {step.seconds:6.1f} s  {step.command}", flush=True)
+    done = step.finished
+    times = f"{done.seconds:6.1f} s, {done.cpu_seconds:6.1f} s of processors"
+    print(f"release: {times}  {step.command}", flush=True)
 
 
 def _judge_files(

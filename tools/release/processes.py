@@ -1,6 +1,7 @@
 """Processes of a release: their environment, their faults, their seconds."""
 
 import os
+import resource
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
@@ -17,11 +18,14 @@ class ReleaseError(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class FinishedProcess:
-    """Command line that ended well, what it printed, and how long it took."""
+    """Command line that ended well, what it printed, and what it took."""
 
     words: tuple[str, ...]
     output: str
     seconds: float
+    """By the clock."""
+    cpu_seconds: float
+    """Of all processors, which other programs of the machine prolong less."""
 
 
 def clean_environment(home: Path, more: Mapping[str, str] | None = None) -> dict[str, str]:
@@ -51,7 +55,7 @@ def run_process(
         ReleaseError: the program is missing or failed; the message ends with what it printed.
     """
     line = tuple(map(str, words))
-    start = time.monotonic()
+    start, used = time.monotonic(), _used_by_children()
     try:
         done = subprocess.run(
             line, cwd=folder, env=dict(environment), capture_output=True, text=True, check=False
@@ -61,13 +65,21 @@ def run_process(
     if done.returncode:
         printed = "\n".join((done.stdout + done.stderr).strip().splitlines()[-30:])
         raise ReleaseError(f"{' '.join(line)}: exit status {done.returncode}\n{printed}")
-    return FinishedProcess(words=line, output=done.stdout, seconds=time.monotonic() - start)
+    return FinishedProcess(
+        words=line,
+        output=done.stdout,
+        seconds=time.monotonic() - start,
+        cpu_seconds=_used_by_children() - used,
+    )
 
 
-def make_environment(
-    folder: Path, environment: Mapping[str, str], python: Path
-) -> tuple[Path, float]:
-    """Make a virtual environment; return its folder of programs, and the seconds taken.
+def _used_by_children() -> float:
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def make_environment(folder: Path, environment: Mapping[str, str], python: Path) -> Path:
+    """Make a virtual environment; return its folder of programs.
 
     Args:
         folder: folder to make.
@@ -77,5 +89,5 @@ def make_environment(
     Raises:
         ReleaseError: it cannot be made.
     """
-    done = run_process([python, "-m", "venv", folder], folder.parent, environment)
-    return folder / "bin", done.seconds
+    run_process([python, "-m", "venv", folder], folder.parent, environment)
+    return folder / "bin"

@@ -7,7 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tools.release.processes import ReleaseError, make_environment, run_process
+from tools.release.processes import (
+    FinishedProcess,
+    ReleaseError,
+    make_environment,
+    run_process,
+)
 
 MORE_COMMANDS = (
     "angler leaderboard problems --sets open-still-01 --out problems",
@@ -22,10 +27,10 @@ AN_EXTRA = "angler-mjx[tune]"
 
 @dataclass(frozen=True, kw_only=True)
 class TrialStep:
-    """Command of a trial, and how long it took."""
+    """Command of a trial as a stranger types it, and what it took."""
 
     command: str
-    seconds: float
+    finished: FinishedProcess
 
 
 def read_first_commands(readme: str) -> list[str]:
@@ -65,7 +70,7 @@ def try_release(
         version: version that the command has to name.
         environment: variables, none of the checkout.
         python: interpreter to try.
-        report: receives each step when it has ended: environment, pip, the README's commands,
+        report: receives each step when it has ended: pip, the README's commands,
             others, an extra, the second wheel.
 
     Returns:
@@ -76,13 +81,12 @@ def try_release(
     """
     work = folder / "work"
     work.mkdir(parents=True)
-    programs, seconds = make_environment(folder / "venv", environment, python)
-    report(TrialStep(command="python -m venv", seconds=seconds))
+    programs = make_environment(folder / "venv", environment, python)
     inside = {**environment, "PATH": f"{programs}:{environment['PATH']}"}
 
     def take(line: str, words: Sequence[str | Path] | None = None) -> None:
         done = run_process(words or shlex.split(line), work, inside)
-        report(TrialStep(command=line, seconds=done.seconds))
+        report(TrialStep(command=line, finished=done))
 
     pip: list[str | Path] = [programs / "pip", "install", "--quiet"]
     wheel, second = files["angler_mjx"], files["angler_experiments"]
