@@ -22,7 +22,8 @@ MORE_COMMANDS = (
 )
 """Commands beside those of the README: they read files that the wheel ships."""
 AN_EXTRA = "angler-mjx[tune]"
-"""What pages print to install an extra: a small one, which has to leave the wheel installed."""
+"""What pages print to install an extra: the installed wheel has to do for it. It is only resolved,
+so that the bill of materials lists none of it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +96,8 @@ def try_release(
         take(command)
     for command in MORE_COMMANDS:
         take(command)
-    take(f"pip install '{AN_EXTRA}'", [*pip, AN_EXTRA, "-c", constraints])
+    resolve = [*pip, "--dry-run", AN_EXTRA, "-c", constraints]
+    take(f"pip install --dry-run '{AN_EXTRA}'", resolve)
     take(f"pip install {second.name}", [*pip, second, "-c", constraints])
     _judge_installed(programs / "python", version, work, inside)
     return programs / "python"

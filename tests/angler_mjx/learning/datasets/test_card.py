@@ -62,6 +62,8 @@ def test_the_public_dataset_is_that_of_reef_with_rock_of_its_own():
     assert all(getattr(public, key) != getattr(reef, key) for key in other)
     made = parts.build_parts(public, table, 100_000, "angler_reef_100k")
     assert sum(part.scenario.worlds for part in made) == 100_000
+    sample = parts.build_parts(public, table, 18_000, "angler_reef_100k")
+    assert [part.scenario.seed for part in sample] == [part.scenario.seed for part in made]
     seeds = {part.scenario.seed for part in made}
     assert len(seeds) == len(made)
     assert not seeds & {
