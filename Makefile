@@ -18,7 +18,7 @@ export UV_PYTHON_DOWNLOADS := never
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test fuzz fuzz-sim mutants gpu-check site lint types imports format clean
+.PHONY: help venv demo test fuzz fuzz-sim mutants gpu-check site release lint types imports format clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 17
@@ -72,6 +72,10 @@ gpu-check: $(STAMP)  ## compare engines, kernels, policies and rates on a GPU wi
 site: $(STAMP)  ## build the documentation's site into build/site, and check it
 	JAX_PLATFORMS=cpu $(BIN)/python -m tools.site $(SITE_ARGS)
 
+# RELEASE_ARGS="--check" judges the checkout alone. See docs/how_to/release.md.
+release: $(STAMP)  ## build, judge and try wheels and sdist of a clean checkout, into dist
+	$(BIN)/python -m tools.release $(RELEASE_ARGS)
+
 lint: $(STAMP)  ## check style and formatting
 	$(BIN)/ruff check $(CODE)
 	$(BIN)/ruff format --check $(CODE)
@@ -92,7 +96,7 @@ clean:  ## remove .venv and the caches in this folder; runs/ stays
 	find $(CODE) -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # uv builds the environment where there is one, the standard library otherwise.
-$(STAMP): pyproject.toml experiments/pyproject.toml constraints.txt .python-version
+$(STAMP): pyproject.toml experiments/pyproject.toml angler_mjx/_version.py constraints.txt .python-version
 	@set -e; \
 	new_enough='import sys, ensurepip; sys.exit(sys.version_info < (3, 12))'; \
 	if ! $(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 12))' 2>/dev/null; then \

@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from angler_mjx import _moved
+from angler_mjx._version import __version__ as __version__
 
 if TYPE_CHECKING:
     from angler_mjx.planning.planner import BatchPlanner, NoPlan, Planner, joint_path, way_points
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
     from angler_mjx.sim.state import Outcome
 
 _moved.install()
-
-__version__ = "0.2.0"
 
 __all__ = [
     "BatchPlanner",

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import angler_mjx
 from angler_mjx.robot.vehicles import library
 from angler_mjx.scenario.scenario import load_scenario, shipped_scenarios
 
@@ -56,7 +57,7 @@ def test_mujoco_and_mjx_are_pinned_to_one_version(pinned):
 
 def test_citation_names_this_version_and_license():
     text = (ROOT / "CITATION.cff").read_text()
-    assert re.search(r'^version: "(.*)"$', text, re.M)[1] == PROJECT["version"]
+    assert re.search(r'^version: "(.*)"$', text, re.M)[1] == angler_mjx.__version__
     assert re.search(r"^license: (.*)$", text, re.M)[1] == PROJECT["license"]
 
 

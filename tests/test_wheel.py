@@ -1,6 +1,8 @@
 """The wheel, and that what it imports is what it declares."""
 
 import ast
+import email
+import os
 import re
 import subprocess
 import sys
@@ -208,6 +210,44 @@ def test_a_wheel_holds_every_package_and_its_data_and_nothing_else(wheels, distr
     }
     assert held == wanted
     assert ("angler_mjx/scenario/shipped/reef_fleet.toml" in held) == (distribution == "angler-mjx")
+
+
+def _dist_info(wheel, name):
+    with zipfile.ZipFile(wheel) as opened:
+        (path,) = [path for path in opened.namelist() if path.endswith(f".dist-info/{name}")]
+        return opened.read(path).decode()
+
+
+@pytest.mark.nightly(by="test_what_is_imported_is_declared")
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_metadata_of_a_wheel(wheels, distribution):
+    metadata = email.message_from_string(_dist_info(wheels[distribution], "METADATA"))
+    project = PROJECTS[distribution]["project"]
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert metadata["Name"] == distribution
+    assert metadata["Version"] == re.search(r'^version: "(.*)"$', citation, re.M)[1]
+    assert metadata["License-Expression"] == "Apache-2.0"
+    assert metadata["Requires-Python"] == project["requires-python"]
+    assert _dist_info(wheels[distribution], "licenses/LICENSE") == (ROOT / "LICENSE").read_text()
+    readme = (DISTRIBUTIONS[distribution] / "README.md").read_text()
+    assert metadata.get_payload().strip() == readme.strip()
+    requirements = [line for line in metadata.get_all("Requires-Dist") if "extra ==" not in line]
+    assert len(requirements) == len(project["dependencies"])
+    entries = _dist_info(wheels[distribution], "entry_points.txt")
+    for name, target in project["entry-points"]["angler_mjx.planners"].items():
+        assert f"{name} = {target}" in entries
+    assert ("angler = angler_mjx.cli.main:main" in entries) == (distribution == "angler-mjx")
+
+
+@pytest.mark.nightly(by="test_what_is_imported_is_declared")
+def test_a_wheel_built_later_has_the_same_bytes(wheels, tmp_path, monkeypatch):
+    """At one time of the commit, whatever the times of the files are."""
+    source = wheels["angler-mjx"].parents[1] / "source"
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    first = _build(source, tmp_path / "first").read_bytes()
+    for path in source.rglob("*.py"):
+        os.utime(path, (1.8e9, 1.8e9))
+    assert _build(source, tmp_path / "second").read_bytes() == first
 
 
 def _install(site, *paths):

@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 
+from angler_mjx._version import __version__
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.storage import folder
 from angler_mjx.runs.storage.atomic_files import write_json
@@ -23,10 +24,13 @@ from angler_mjx.sim.policy import Policy
 
 def describe_environment() -> dict[str, Any]:
     """Return versions, device, machine, commit and command of this process."""
-    packages = ("angler-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "zarr", "pyarrow")
+    packages = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "zarr", "pyarrow")
     device = jax.devices()[0]
     return {
-        "versions": {name: _package_version(name) for name in packages},
+        "versions": {
+            "angler-mjx": __version__,
+            **{name: _package_version(name) for name in packages},
+        },
         "python": platform.python_version(),
         "platform": platform.platform(),
         "processor": processor_name(),

@@ -34,7 +34,7 @@ def make_dataset(
     """Fly the episodes of a dataset file, and write them with their metadata.
 
     Args:
-        config: Name of a shipped dataset file (reef), or the path of one (.toml).
+        config: Name of a shipped dataset file (reef, angler_reef_100k), or the path of one (.toml).
         episodes: Number of episodes, over all scenes, teams and experts.
         out: Folder to make; datasets/NAME if left out.
         resume: Continue an interrupted dataset of the same file and number.

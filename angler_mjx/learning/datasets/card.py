@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 
 from angler_mjx.errors import format_bytes
 from angler_mjx.learning.datasets import croissant, figures, gaps
-from angler_mjx.learning.datasets.manifest import SPLITS, Manifest
+from angler_mjx.learning.datasets.manifest import INDEX, SPLITS, Manifest
 from angler_mjx.learning.datasets.sampling import DIFFICULTIES, FAILED, is_kind
 from angler_mjx.runs.multi_run import RUNS_FOLDER
 from angler_mjx.runs.storage import atomic_files, folder, results
@@ -114,10 +114,7 @@ def format_card(
     hours = pc.sum(pc.multiply(table["duration_s"], pc.cast(table["robots"], pa.float32())))
     environment = manifest.environment
     lines = [
-        "---",
-        f"license: {manifest.licence}",
-        "tags: [robotics, motion-planning, underwater, multi-robot, simulation]",
-        "---",
+        *_format_hub_fields(manifest),
         "",
         f"# {manifest.name}",
         "",
@@ -206,6 +203,33 @@ def format_card(
         "",
     ]
     return "\n".join(lines)
+
+
+def _format_hub_fields(manifest: Manifest) -> list[str]:
+    """Return the head of the card, in YAML, by which hubs of datasets list and preview it."""
+    powers = [10**power for power in range(3, 10)]
+    below = next((power for power in powers if manifest.episodes < power), powers[-1])
+    size = "n<1K" if below == 1000 else f"{_format_power(below // 10)}<n<{_format_power(below)}"
+    return [
+        "---",
+        f"license: {manifest.licence.lower()}",
+        f"pretty_name: {manifest.name}",
+        f"size_categories: [{size}]",
+        "task_categories: [robotics]",
+        "tags: [robotics, motion-planning, underwater, multi-robot, simulation]",
+        "configs:",
+        "- config_name: episodes",
+        "  data_files:",
+        "  - split: episodes",
+        f"    path: {INDEX}",
+        "---",
+    ]
+
+
+def _format_power(number: int) -> str:
+    """Return a power of ten as 10K or 1M."""
+    units = ((10**9, "B"), (10**6, "M"), (10**3, "K"))
+    return next(f"{number // unit}{letter}" for unit, letter in units if number >= unit)
 
 
 def _format_split_table(table: pa.Table) -> list[str]:
