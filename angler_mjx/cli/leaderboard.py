@@ -231,11 +231,13 @@ def film(
         results: Results folders of angler leaderboard check --keep-flights.
         out: Folder of the films.
     """
+    from angler_mjx.cli.shared.progress import ProgressBar
     from angler_mjx.leaderboard import films
 
-    for result in results:
-        for path in films.film_result(result, out):
-            print(path)
+    with ProgressBar() as bar:
+        for result in results:
+            for path in films.film_result(result, out, bar):
+                bar.report(str(path))
 
 
 def _find_problems(problems: Path | None, secret: Path | None) -> "tuple[ProblemManifest, bytes]":

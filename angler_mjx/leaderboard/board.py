@@ -249,7 +249,7 @@ def _format_group(group: Sequence[BoardEntry], *, is_hidden: bool, is_whole: boo
         '<div class="wide"><table class="details"><tr><th>planner</th>'
         "<th>robots that arrived, %</th>"
         + "".join(f"<th>{escape(_LABELS[name])}</th>" for name in MEDIANS)
-        + '<th class="part">kind; machine of planning, its factor</th>'
+        + '<th class="part">kind; machine of planning</th>'
         '<th class="part">flown by</th><th class="part">commonest failures</th></tr>\n'
         f"{details}\n</table></div>"
     )
@@ -275,6 +275,10 @@ def _format_rate(tier: TierScore | None, problems: int, at: int) -> str:
     )
 
 
+def _shorten(text: str) -> str:
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
 def _format_median(median: Interval, scale: float) -> str:
     value, low, high = (scale * x for x in (median.value, median.low, median.high))
     return f"{value:.3g}<br><small>{low:.3g}&ndash;{high:.3g}</small>"
@@ -297,12 +301,12 @@ def _format_details(entry: BoardEntry) -> str:
         for name in MEDIANS
     ]
     reasons = "; ".join(
-        f"{count} {text[:60]}" for text, count in count_reasons(table["scores"])[:3]
+        f"{count} x {_shorten(text)}" for text, count in count_reasons(table["scores"])[:3]
     )
     planned = table.get("planned_on", {})
     machine = planned.get("machine") or card.get("machine") or "machine not stated"
     texts = [
-        escape(f"{_KINDS[card['kind']]}; {machine}, {planned.get('factor', 1.0):.2f}"),
+        escape(f"{_KINDS[card['kind']]}; {machine}, factor {planned.get('factor', 1.0):.2f}"),
         escape(f"{_format_physics(table)} on {table['judged_on']}"),
         escape(reasons or "none"),
     ]

@@ -36,6 +36,8 @@ from angler_mjx.studies.speed.measured import graph_search
 from angler_mjx.testing import referee
 
 RESULT, ANSWERS, PROBLEMS = "result.json", "answers", "problems"
+NO_PATH = "no path"
+"""What is said of a robot without a path whose file says nothing more."""
 LEVELS = ("nothing", "observed", "predicted", "truth")
 """Information levels, the least first."""
 
@@ -360,7 +362,9 @@ def _flown_score(
     reason = fault or _find_fault(one, world) or _find_late(one, world)
     missing = [row for row in episodes if row["plan_reason"]]
     if not reason and missing:
-        reason = f"robot {missing[0]['robot']} has no plan: {missing[0]['plan_reason']}"
+        robot, text = missing[0]["robot"], missing[0]["plan_reason"]
+        text = _find_note(one, world, robot) if text == NO_PATH else text
+        reason = f"robot {robot} has no plan: {text}"
     if not reason and len(arrived) < len(episodes):
         first = next(row for row in episodes if row["outcome"] != "reached")
         reason = f"robot {first['robot']}: {first['outcome']}"
@@ -400,7 +404,7 @@ def _unflown_score(one: CheckedSet, world: int) -> ProblemScore:
         energy_j=0.0,
         clearance_m=None,
         planning_s=_planning_s(one, world, ()),
-        reason=_find_fault(one, world) or "no plan",
+        reason=_find_fault(one, world) or f"robot 0 has no plan: {_find_note(one, world, 0)}",
     )
 
 
@@ -413,6 +417,12 @@ def _planning_s(one: CheckedSet, world: int, episodes: Sequence[Mapping[str, Any
 
 def _find_fault(one: CheckedSet, world: int) -> str:
     return one.rows.faults[world] if one.rows is not None else ""
+
+
+def _find_note(one: CheckedSet, world: int, robot: int) -> str:
+    """Return why a robot has no path, by its file of plans."""
+    note = "" if one.rows is None else one.rows.notes.get((world, robot), "")
+    return note or NO_PATH
 
 
 def _find_late(one: CheckedSet, world: int) -> str:

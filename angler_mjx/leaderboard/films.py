@@ -7,6 +7,7 @@ from typing import Any
 from angler_mjx.errors import ConfigError
 from angler_mjx.leaderboard import checking
 from angler_mjx.leaderboard.scores import measure
+from angler_mjx.progress import Progress
 from angler_mjx.report.video import write_video
 from angler_mjx.runs import multi_run
 from angler_mjx.runs.storage.folder import TRAJECTORIES, Run
@@ -14,12 +15,13 @@ from angler_mjx.runs.storage.folder import TRAJECTORIES, Run
 type ScoreRow = Mapping[str, Any]
 
 
-def film_result(result: Path, out: Path) -> Iterator[Path]:
+def film_result(result: Path, out: Path, progress: Progress) -> Iterator[Path]:
     """Film the best and the worst flight of a check.
 
     Args:
         result: results folder with kept flights.
         out: folder of the films.
+        progress: receives the progress, in frames.
 
     Yields:
         ``NAME-best-SET-PROBLEM.mp4`` and ``NAME-worst-SET-PROBLEM.mp4``; one of them alone where no
@@ -42,7 +44,17 @@ def film_result(result: Path, out: Path) -> Iterator[Path]:
     for label, row in choose_flights(flown).items():
         world = int(row["problem"].rpartition("/")[2])
         path = out / f"{name}-{label}-{row['set']}-{world}.mp4"
-        yield write_video(Run(runs / row["set"]), world, path)
+        progress.describe(path.name)
+        counted = 0
+
+        def report(done: int, total: int) -> None:
+            nonlocal counted
+            if not counted:
+                progress.start(total, unit="frames")
+            progress.advance(done - counted)
+            counted = done
+
+        yield write_video(Run(runs / row["set"]), world, path, report=report)
 
 
 def choose_flights(flown: list[ScoreRow]) -> dict[str, ScoreRow]:

@@ -8,7 +8,7 @@ understood is refused.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,6 +28,8 @@ from angler_mjx.scenario.scenario import Scenario
 CARD, PLANS = "card.toml", "plans"
 MAX_FILE_POINTS = 1024
 """Points of a path that are read; a file with wider arrays is refused."""
+MAX_NOTE = 200
+"""Characters of a reason of a file that are read."""
 _OPTIONAL_WIDTHS = {"yaw_rad": 0, "velocity": 4, "acceleration": 4, "degree": 0}
 """Optional arrays of a file of plans, with the size of the axis behind that of the points."""
 
@@ -126,6 +128,8 @@ class PlanRows:
     """float [world], as stated or measured; NaN if unknown."""
     faults: Sequence[str] = field(default=())
     """Reason of each problem that has no usable plan as a whole; empty texts for others."""
+    notes: Mapping[tuple[int, int], str] = field(default_factory=dict)
+    """What the file says of why robots have no path, by problem and robot."""
 
 
 def empty_rows(entry: ProblemSet, reason: str) -> PlanRows:
@@ -194,7 +198,25 @@ def _read_group(path: Path, entry: ProblemSet, record: SetRecord, max_points: in
         raise ConfigError(f"{path.name}: has velocity, acceleration or degree without yaw_rad")
     arrays, damage = _read_arrays(path, group, list(expected), entry.problems)
     planning_s = arrays.pop("planning_s", np.full(entry.problems, np.nan))
-    return _limit_points(arrays, planning_s.astype(float), max_points, damage)
+    limited = _limit_points(arrays, planning_s.astype(float), max_points, damage)
+    return replace(limited, notes=_read_notes(group, shapes.get("reason") == rows))
+
+
+def _read_notes(group: zarr.Group, has_reasons: bool) -> dict[tuple[int, int], str]:
+    """Read why robots have no path; nothing where the file does not say it as it should."""
+    texts = group.attrs.get("reasons")
+    if not has_reasons or not isinstance(texts, list):
+        return {}
+    try:
+        with wrap_read_errors(Path("reason")):
+            index = np.asarray(group.get_array("reason")[:]).astype(int)
+    except AnglerError:
+        return {}
+    return {
+        (world, robot): "".join(c for c in str(texts[at])[:MAX_NOTE] if c.isprintable())
+        for (world, robot), at in np.ndenumerate(index)
+        if 0 <= at < len(texts)
+    }
 
 
 def _read_arrays(

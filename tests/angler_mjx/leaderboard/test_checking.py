@@ -159,3 +159,16 @@ def test_planning_times_are_limited_after_division_by_the_factor(
         time_factor=factor,
     )
     assert checking._find_late(one, 0) == reason
+
+
+def test_a_problem_that_nobody_flies_has_the_reason_of_its_file(benchmark, sets):
+    rows = replace(empty_rows(replace(sets[NAME], problems=2), ""), notes={(1, 0): "walled in"})
+    rows = replace(rows, faults=["", ""])
+    one = checking.CheckedSet(
+        entry=sets[NAME],
+        scenario=problem_sets.build_scenario(benchmark, sets[NAME], 1),
+        rows=rows,
+        bound_s=(60.0, 60.0),
+    )
+    reasons = [checking._unflown_score(one, world).reason for world in range(2)]
+    assert reasons == ["robot 0 has no plan: no path", "robot 0 has no plan: walled in"]

@@ -197,7 +197,7 @@ def test_the_board_states_physics_machine_factor_and_time_limits(tmp_path):
     )
     page = board.build_board([path], tmp_path / "board", baselines=False).read_text()
     assert page.count("angler-mjx 0.2.0 (01234567)") == 2
-    assert "A Core, 1.37" in page
+    assert "A Core, factor 1.37" in page
     limits = page.split("<th>time limit, s</th>")[1].split("</tr>")[0]
     assert re.findall(r"\d+", limits) == ["1", "2", "4", "8", "16", "32", "64"]
     assert "1,700 searches/s" in page

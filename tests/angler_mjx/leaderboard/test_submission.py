@@ -126,6 +126,26 @@ def test_a_damaged_chunk_fails_its_problem_alone(tmp_path, problems, sets, manif
     np.testing.assert_array_equal(rows.arrays["time_s"][0], times[0])
 
 
+@pytest.mark.parametrize(
+    ("reasons", "notes"),
+    [
+        (["walled\x1b in"], {(1, 0): "walled in"}),
+        (["x" * 5000], {(1, 0): "x" * 200}),
+        ([], {}),
+        ("none", {}),
+        (None, {}),
+    ],
+)
+def test_reasons_of_a_file_are_read_without_trust(read, reasons, notes):
+    def change(arrays, attributes):
+        arrays["reason"] = np.array([[-1], [0]], "i4")
+        attributes["reasons"] = reasons
+
+    rows = read(change)
+    assert rows.notes == notes
+    assert list(rows.faults) == ["", ""]
+
+
 @pytest.mark.parametrize("seconds", [-1.0, np.inf])
 def test_a_planning_time_that_cannot_be_fails_its_problem(read, seconds):
     def change(arrays, attributes):
