@@ -111,7 +111,8 @@ def make_baselines(
             entry.robots: [e for e in entries if e.robots == entry.robots] for entry in entries
         }
         for number, (robots, part) in enumerate(parts.items()):
-            progress.report(f"{baseline.name}, part {number + 1} of {len(parts)}: {robots} robots")
+            team = "1 robot" if robots == 1 else f"{robots} robots"
+            progress.report(f"{baseline.name}, part {number + 1} of {len(parts)}: {team}")
             folder = out / baseline.name / f"{robots:02d}"
             if not checking.is_complete(folder / "check"):
                 _make_part(baseline, part, folder, progress, manifest, workers, keep_flights)

@@ -460,7 +460,7 @@ def _write_result(
             "physics": {"angler-mjx": __version__, "commit": environment.get("commit")},
             "judged_on": environment["device"],
             "planned_on": {
-                "machine": processor_name() if card.kind == "program" else card.machine,
+                "machine": _name_machine(card, str(environment["device"])),
                 "factor": time_factor,
             },
             "scores": [asdict(score) for score in scores],
@@ -472,6 +472,13 @@ def _write_result(
     if not keep_flights:
         for path in (building / multi_run.RUNS_FOLDER).glob(f"*/{folder.TRAJECTORIES}"):
             shutil.rmtree(path)
+
+
+def _name_machine(card: Card, device: str) -> str:
+    """Return the machine of the planning times: the judge's, unless the card brings plans."""
+    if card.kind == "plans":
+        return card.machine
+    return processor_name() if card.kind == "program" or device == "cpu" else device
 
 
 def read_result(out: Path) -> dict[str, Any]:

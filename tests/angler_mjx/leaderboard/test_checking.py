@@ -9,7 +9,7 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.leaderboard import checking, problem_sets
-from angler_mjx.leaderboard.submission import InFlightConfig, empty_rows
+from angler_mjx.leaderboard.submission import Card, InFlightConfig, empty_rows
 from angler_mjx.progress import Progress
 from angler_mjx.runs.simulator.world_preparation import check_planner
 
@@ -172,3 +172,18 @@ def test_a_problem_that_nobody_flies_has_the_reason_of_its_file(benchmark, sets)
     )
     reasons = [checking._unflown_score(one, world).reason for world in range(2)]
     assert reasons == ["robot 0 has no plan: no path", "robot 0 has no plan: walled in"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "device", "machine"),
+    [
+        ("plans", "gpu", "theirs"),
+        ("program", "gpu", "our core"),
+        ("in_flight", "cpu", "our core"),
+        ("in_flight", "gpu", "gpu"),
+    ],
+)
+def test_planning_times_are_of_the_machine_that_planned(monkeypatch, kind, device, machine):
+    monkeypatch.setattr(checking, "processor_name", lambda: "our core")
+    card = Card(benchmark="b", name="n", kind=kind, machine="theirs")
+    assert checking._name_machine(card, device) == machine
