@@ -39,8 +39,8 @@ def bench(
 
     Args:
         workload: dynamics, closed_loop_8, reef_fleet, mjx, recording, preparation, env_generation,
-            clearance, compile, or scenarios by name or path, one or several; the profile's if left
-            out.
+            clearance, search, compile, or scenarios by name or path, one or several; the profile's
+            if left out.
         scenario: Scenarios of --workload compile, by name or path; if left out, all shipped ones,
             or with --profile full and paper some teams and numbers of worlds.
         worlds: Worlds in one device call; one row for each number, as in --worlds 64 1024; the
@@ -154,6 +154,11 @@ def _print_rows(rows: "list[SpeedRow]", device: "DeviceSpeed") -> None:
         _format_recording(row): None
         for row in rows
         if row.workload.startswith("recording/") and row.extra
+    }
+    notes |= {
+        f"{row.workload}: machine_factor = {row.extra['time_factor']:.2f} of ANGLER-1": None
+        for row in rows
+        if "time_factor" in row.extra
     }
     refusals = [f"{r.workload}, {r.worlds} x {r.robots}: {r.refused}" for r in rows if r.refused]
     for line in [*notes, *refusals]:

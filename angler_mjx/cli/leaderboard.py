@@ -169,6 +169,77 @@ def build(
     print(board.build_board(results, out, baselines=baselines))
 
 
+def make_baselines(
+    out: Path = Path("runs/baselines"),
+    only: Sets = (),
+    sets: Sets = (),
+    store: Path | None = None,
+    workers: int | None = None,
+    keep_flights: bool = False,
+    device: Device | None = None,
+) -> None:
+    """Plan, check and store the package's planners and policies; a repeated call goes on.
+
+    Each baseline is made in parts, one for each team size. Ctrl-C keeps what is planned and flown.
+
+    Args:
+        out: Folder of submissions and checks, new or of an earlier call.
+        only: Baseline, such as priority, mppi or RRTConnect; all if left out.
+        sets: A set such as reef-still-known-04, or parts of names such as reef-04; all that the
+            baseline can plan if left out.
+        store: Folder of the results, one file each; that which the board reads if left out.
+        workers: Number of planning processes, for planners on the host; one for each processor if
+            left out.
+        keep_flights: Keep the trajectories, for angler leaderboard films.
+        device: Device to plan and fly on; JAX's choice if left out.
+    """
+    choose_device(device)
+    keep_all_programs()
+    from angler_mjx.cli.shared.inputs import require_positive
+    from angler_mjx.cli.shared.progress import ProgressBar
+    from angler_mjx.leaderboard import baselines, board, problem_sets
+
+    count = require_positive("workers", workers)
+    chosen = baselines.select_baselines(only)
+    with ProgressBar() as bar:
+        try:
+            for path in baselines.make_baselines(
+                chosen,
+                out,
+                store or problem_sets.data_folder() / board.BASELINES,
+                bar,
+                sets=sets,
+                workers=count,
+                keep_flights=keep_flights,
+            ):
+                bar.report(str(path))
+        except KeyboardInterrupt:
+            print("interrupted: the same command goes on", file=sys.stderr)
+            sys.exit(130)
+
+
+def film(
+    results: Annotated[tuple[Path, ...], tyro.conf.Positional],
+    out: Path = Path("runs/films"),
+) -> None:
+    """Film the best and the worst flight of each check whose flights were kept.
+
+    The best is the shortest solved problem of the largest team, by time over the straight line's;
+    the worst is the failed problem with the fewest arrivals, else the longest solved one.
+
+    Args:
+        results: Results folders of angler leaderboard check --keep-flights.
+        out: Folder of the films.
+    """
+    from angler_mjx.cli.shared.progress import ProgressBar
+    from angler_mjx.leaderboard import films
+
+    with ProgressBar() as bar:
+        for result in results:
+            for path in films.film_result(result, out, bar):
+                bar.report(str(path))
+
+
 def _find_problems(problems: Path | None, secret: Path | None) -> "tuple[ProblemManifest, bytes]":
     """Return the manifest of the problems, and the secret of their seeds."""
     from angler_mjx.leaderboard import problem_files, problem_sets

@@ -72,6 +72,8 @@ GROUPS: dict[str, dict[str, Callable[..., None]]] = {
         "plan": leaderboard.plan,
         "check": leaderboard.check,
         "build": leaderboard.build,
+        "baselines": leaderboard.make_baselines,
+        "films": leaderboard.film,
     },
     "mission": {"import": mission.import_mission, "export": mission.export_mission},
     "sitl": {

@@ -1,46 +1,73 @@
 """Board of the benchmark: one static page with the scores of all submissions.
 
-It is made of ``result.json`` files alone, so that anybody can rebuild it. Submissions are ordered
-by the fraction of entered problems that they solve; those that enter fewer sets stand in a table of
-their own for these sets, because easy sets would raise their fraction.
+It is made of ``result.json`` files alone, so that anybody can rebuild it. Submissions to all sets
+are ordered by the fraction of problems that they solve. Those to part of the sets stand in a table
+of their own, ordered by the number of solved problems, because easy sets would raise a fraction; a
+tier that they did not enter is empty.
 """
 
 import shutil
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.leaderboard import checking, problem_sets
-from angler_mjx.leaderboard.scores import MEDIANS, Interval, TierScore, count_reasons, score_tiers
+from angler_mjx.leaderboard.scores import (
+    MEDIANS,
+    Interval,
+    TierScore,
+    count_reasons,
+    list_tier_groups,
+    score_tiers,
+)
 from angler_mjx.runs.storage.atomic_files import write_text
+from angler_mjx.studies.speed.measured.graph_search import REFERENCE_SEARCHES_PER_S
 
 PAGE, RESULTS = "index.html", "results"
 BASELINES = "baselines"
 """Folder of results of the package's planners, among the benchmark's files."""
 _LABELS = {
     "makespan_ratio": "time / straight line",
-    "energy_j_per_robot": "energy of a robot, J",
+    "energy_j_per_robot": "energy of a robot, kJ",
     "clearance_m": "least gap, m",
     "planning_s": "planning, s",
 }
+_SCALES = {"energy_j_per_robot": 1e-3}
+"""Of the quantities in their labels' units; 1 of all others."""
+_KINDS = {"plans": "plans", "program": "program, run by the judge", "in_flight": "in flight"}
 _STYLE = """
 :root { color-scheme: light dark; --ink: #12303c; --paper: #ffffff; --line: #c9d6db;
-  --soft: #eef3f5; --hue: 190; }
+  --soft: #eef3f5; --link: #0b5c8a; --hue: 190; }
 @media (prefers-color-scheme: dark) { :root { --ink: #e2edf1; --paper: #0d1b22; --line: #2c4450;
-  --soft: #15272f; } }
-body { max-width: 76rem; margin: 2rem auto; padding: 0 1rem; line-height: 1.5;
+  --soft: #15272f; --link: #7cc7ee; } }
+body { max-width: 84rem; margin: 2rem auto; padding: 0 1rem; line-height: 1.5;
   font-family: system-ui, sans-serif; color: var(--ink); background: var(--paper); }
+p, ul { max-width: 48rem; }
+a { color: var(--link); }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 0.9rem; }
-th, td { padding: 0.25rem 0.6rem; text-align: right; border-bottom: 1px solid var(--line);
-  white-space: nowrap; }
+th, td { padding: 0.3rem 0.6rem; text-align: right; border-bottom: 1px solid var(--line);
+  white-space: nowrap; vertical-align: top; }
+th { vertical-align: bottom; }
 th:first-child, td:first-child { text-align: left; position: sticky; left: 0;
-  background: var(--paper); }
+  background: var(--paper); white-space: normal; min-width: 8rem; max-width: 16rem;
+  overflow-wrap: anywhere; }
+th.part { border-left: 1px solid var(--line); text-align: left; color: var(--ink);
+  font-weight: normal; font-size: 0.8rem; }
+td.first, th.first { border-left: 1px solid var(--line); }
 td.rate { background: color-mix(in srgb, hsl(var(--hue) 60% 45%) var(--part), transparent); }
-small { opacity: 0.75; }
-code { background: var(--soft); padding: 0 0.2rem; }
+td.none { color: color-mix(in srgb, var(--ink) 55%, var(--paper)); }
+.details th { white-space: normal; min-width: 4.5rem; }
+.details th.part { min-width: 9rem; }
+td.text { text-align: left; white-space: normal; min-width: 9rem; max-width: 24rem;
+  overflow-wrap: anywhere; }
+small { opacity: 0.8; }
+code { background: var(--soft); padding: 0 0.2rem; overflow-wrap: anywhere; }
+@media (max-width: 40rem) { body { margin: 1rem auto; } th:first-child, td:first-child {
+  min-width: 6.5rem; max-width: 8rem; } th, td { padding: 0.25rem 0.4rem; } }
 """
 
 
@@ -84,93 +111,211 @@ def build_board(results: Sequence[Path], out: Path, *, baselines: bool) -> Path:
 
 
 def format_board(tables: Sequence[Mapping[str, Any]]) -> str:
-    """Return the page of some results."""
-    groups: dict[tuple[bool, tuple[str, ...]], list[Mapping[str, Any]]] = {}
-    for table in tables:
-        groups.setdefault((table["hidden"], tuple(table["entered"])), []).append(table)
-    everything = len(problem_sets.list_problem_sets(problem_sets.load_benchmark()))
-    ordered = sorted(groups.items(), key=lambda item: (item[0][0], -len(item[0][1])))
-    title = problem_sets.load_benchmark().title
-    sections = [
-        _format_group(entered, group, hidden=hidden, everything=everything)
-        for (hidden, entered), group in ordered
+    """Return the page of some results, whose copies stand in their order in `RESULTS`."""
+    benchmark = problem_sets.load_benchmark()
+    every = problem_sets.list_problem_sets(benchmark)
+    entries = [
+        BoardEntry(
+            table=table,
+            source=f"{RESULTS}/{number:03d}.json",
+            tiers={tier.name: tier for tier in score_tiers(table["scores"])},
+            is_whole=len(set(table["entered"])) == len(every),
+        )
+        for number, table in enumerate(tables)
     ]
+    sections = []
+    for is_hidden in (False, True):
+        for is_whole in (True, False):
+            group = [
+                entry
+                for entry in entries
+                if (bool(entry.table["hidden"]), entry.is_whole) == (is_hidden, is_whole)
+            ]
+            if group:
+                sections.append(_format_group(group, is_hidden=is_hidden, is_whole=is_whole))
+    versions = sorted({_format_physics(entry.table) for entry in entries})
+    problems = sum(entry.problems for entry in every)
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}: board</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
-        f"<h1>{escape(title)}</h1>\n"
-        "<p>Planning for underwater fleets: 300 problems for teams of 1 to 64 robots, in open "
-        "water, reefs, dense rock and a corridor; still, with moving obstacles, and in the current "
-        "of an ocean model; with the true future known, or the present observed. Plans are flown "
-        "in simulated truth by a fleet whose parameters the planner does not know, and a referee "
-        "that shares no code with the simulator computes every score again. A problem is solved "
-        "if every robot arrives and planning kept its time limit. Intervals are of 95 %.</p>\n"
+        f"<title>{escape(benchmark.title)}: board</title>\n<style>{_STYLE}</style>\n</head>\n"
+        f"<body>\n<h1>{escape(benchmark.title)}</h1>\n"
+        f"<p>Planning for underwater fleets: {problems} problems for teams of 1 to 64 robots, in "
+        "open water, reefs, dense rock and a corridor; still, with moving obstacles, and in the "
+        "current of an ocean model; with the true future known, or the present observed. Plans are "
+        "flown in simulated truth by a fleet whose parameters the planner does not know, and a "
+        "referee that shares no code with the simulator computes every score again. A problem is "
+        "solved if every robot arrives and planning kept its time limit.</p>\n"
+        f"<p>Physics: {escape(', '.join(versions))}. Intervals are of 95 %. A dash is a tier that "
+        "was not entered, which is not failed.</p>\n"
         + "\n".join(sections)
+        + _format_limits(benchmark)
         + "\n</body>\n</html>\n"
     )
 
 
-def _format_group(
-    entered: Sequence[str], group: Sequence[Mapping[str, Any]], *, hidden: bool, everything: int
-) -> str:
-    scored = [(table, score_tiers(table["scores"])) for table in group]
-    scored.sort(key=lambda item: -item[1][0].solved.value)
-    kind = "Hidden problems" if hidden else "Public problems"
-    extent = "all sets" if len(entered) == everything else f"{len(entered)} of {everything} sets"
-    tiers = [tier.name for tier in scored[0][1]]
+@dataclass(frozen=True, kw_only=True)
+class BoardEntry:
+    """A submission on the board."""
+
+    table: Mapping[str, Any]
+    """Its result."""
+    source: str
+    """Copy of the result, relative to the page."""
+    tiers: Mapping[str, TierScore]
+    """Scores by names of tiers; without those that it did not enter."""
+    is_whole: bool
+    """Whether all sets are entered."""
+
+    @property
+    def solved(self) -> int:
+        """Number of solved problems."""
+        return sum(bool(row["solved"]) for row in self.table["scores"])
+
+
+def _format_limits(benchmark: problem_sets.FrozenBenchmark) -> str:
+    cells = [
+        (f"{tier.robots}", f"{tier.limit_s:g}") for tier in sorted(benchmark.team, key=_robots_of)
+    ]
+    return (
+        "\n<h2>Time limits</h2>\n<p>Planning time for a problem on the reference core, which makes "
+        f"{REFERENCE_SEARCHES_PER_S:,.0f} searches/s in <code>angler bench --workload search</code>"
+        ". Times of other machines are divided by their factor, the time that a core of theirs "
+        "needs over that of the reference.</p>\n"
+        '<div class="wide"><table><tr><th>robots</th>'
+        + "".join(f"<td>{robots}</td>" for robots, _ in cells)
+        + "</tr>\n<tr><th>time limit, s</th>"
+        + "".join(f"<td>{limit}</td>" for _, limit in cells)
+        + "</tr></table></div>"
+    )
+
+
+def _robots_of(tier: problem_sets.TeamTier) -> int:
+    return tier.robots
+
+
+def _list_columns() -> list[tuple[str, list[tuple[str, int]]]]:
+    """Return the tiers of the whole benchmark by what they are a part of, with their problems."""
+    every = problem_sets.list_problem_sets(problem_sets.load_benchmark())
+    rows = [
+        {"robots": entry.robots, "set": entry.name}
+        for entry in every
+        for _ in entry.problem_names()
+    ]
+    parts: dict[str, list[tuple[str, int]]] = {}
+    heads = ("", "robots", "environment", "condition", "information")
+    for head, tiers in zip(heads, list_tier_groups(rows), strict=True):
+        parts[head] = [(name, len(part)) for name, part in tiers]
+    return list(parts.items())
+
+
+def _format_group(group: Sequence[BoardEntry], *, is_hidden: bool, is_whole: bool) -> str:
+    ordered = sorted(group, key=lambda entry: (-entry.solved, entry.table["card"]["name"]))
+    kind = "Hidden problems" if is_hidden else "Public problems"
+    extent = "all sets" if is_whole else "part of the sets"
+    columns = _list_columns()
     head = "".join(
-        f"<th>{escape(name)}<br><small>{tier.problems}</small></th>"
-        for name, tier in zip(tiers, scored[0][1], strict=True)
+        f'<th class="part" colspan="{len(tiers)}">{part}</th>' for part, tiers in columns
+    )
+    names = "".join(
+        f"<th{_first(at)}>{escape(name.split(' ')[0])}<br><small>{count}</small></th>"
+        for _, tiers in columns
+        for at, (name, count) in enumerate(tiers)
     )
     rows = "\n".join(
-        f"<tr><td>{escape(table['card']['name'])}</td>"
-        + "".join(_format_rate(tier.solved) for tier in scores)
+        f"<tr><td>{escape(entry.table['card']['name'])}</td>"
+        + "".join(
+            _format_rate(entry.tiers.get(name), count, at)
+            for _, tiers in columns
+            for at, (name, count) in enumerate(tiers)
+        )
         + "</tr>"
-        for table, scores in scored
+        for entry in ordered
     )
-    details = "\n".join(_format_details(table, scores[0]) for table, scores in scored)
-    names = "" if len(entered) == everything else f"<p>{escape(', '.join(entered))}</p>\n"
+    partly = (
+        ""
+        if is_whole
+        else " Of a tier that was entered in part, the third line is solved of entered problems."
+    )
+    details = "\n".join(_format_details(entry) for entry in ordered)
     return (
-        f"<h2>{kind}, {extent}</h2>\n{names}"
-        "<p>Fraction of problems that are solved, in percent, with its interval; below each tier "
-        "its number of problems.</p>\n"
-        f'<div class="wide"><table><tr><th>planner</th>{head}</tr>\n{rows}\n</table></div>\n'
-        "<h3>Solved problems</h3>\n<p>Medians over the problems that each planner solved: they "
-        "are of different problems.</p>\n"
-        '<div class="wide"><table><tr><th>planner</th><th>robots that arrived, %</th>'
+        f"<h2>{kind}, {extent}</h2>\n"
+        "<p>Solved problems in percent of those that were entered, and the interval; below each "
+        f"tier its number of problems.{partly}</p>\n"
+        f'<div class="wide"><table><tr><th></th>{head}</tr>\n<tr><th>planner</th>{names}</tr>\n'
+        f"{rows}\n</table></div>\n"
+        "<h3>Solved problems</h3>\n<p>Medians over the problems that each planner solved, with "
+        "intervals: they are of different problems.</p>\n"
+        '<div class="wide"><table class="details"><tr><th>planner</th>'
+        "<th>robots that arrived, %</th>"
         + "".join(f"<th>{escape(_LABELS[name])}</th>" for name in MEDIANS)
-        + "<th>machine of planning</th><th>flown by</th><th>commonest failures</th></tr>\n"
+        + '<th class="part">kind; machine of planning</th>'
+        '<th class="part">flown by</th><th class="part">commonest failures</th></tr>\n'
         f"{details}\n</table></div>"
     )
 
 
-def _format_rate(rate: Interval) -> str:
+def _first(at: int) -> str:
+    return ' class="first"' if at == 0 else ""
+
+
+def _format_rate(tier: TierScore | None, problems: int, at: int) -> str:
+    first = " first" if at == 0 else ""
+    if tier is None:
+        return f'<td class="none{first}" title="not entered">&ndash;</td>'
+    rate = tier.solved
+    part = (
+        f"<br><small>{round(rate.value * rate.count)} of {rate.count}</small>"
+        if rate.count < problems
+        else ""
+    )
     return (
-        f'<td class="rate" style="--part: {80 * rate.value:.0f}%">{100 * rate.value:.0f} '
-        f"<small>{100 * rate.low:.0f}&ndash;{100 * rate.high:.0f}</small></td>"
+        f'<td class="rate{first}" style="--part: {80 * rate.value:.0f}%">{100 * rate.value:.0f}'
+        f"<br><small>{100 * rate.low:.0f}&ndash;{100 * rate.high:.0f}</small>{part}</td>"
     )
 
 
-def _format_details(table: Mapping[str, Any], tier: TierScore) -> str:
+def _shorten(text: str) -> str:
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _format_median(median: Interval, scale: float) -> str:
+    value, low, high = (scale * x for x in (median.value, median.low, median.high))
+    return f"{value:.3g}<br><small>{low:.3g}&ndash;{high:.3g}</small>"
+
+
+def _format_physics(table: Mapping[str, Any]) -> str:
+    physics = table["physics"]
+    commit = str(physics.get("commit") or "")
+    mark = "+" if not commit.isalnum() and commit else ""
+    return f"angler-mjx {physics['angler-mjx']}" + (f" ({commit[:8]}{mark})" if commit else "")
+
+
+def _format_details(entry: BoardEntry) -> str:
+    table, tier = entry.table, entry.tiers["all"]
     card = table["card"]
     cells = [
         "&ndash;"
         if (median := tier.medians[name]) is None
-        else f"{median.value:.3g} <small>{median.low:.3g}&ndash;{median.high:.3g}</small>"
+        else _format_median(median, _SCALES.get(name, 1.0))
         for name in MEDIANS
     ]
     reasons = "; ".join(
-        f"{count} {text[:60]}" for text, count in count_reasons(table["scores"])[:3]
+        f"{count} x {_shorten(text)}" for text, count in count_reasons(table["scores"])[:3]
     )
+    planned = table.get("planned_on", {})
+    machine = planned.get("machine") or card.get("machine") or "machine not stated"
     texts = [
-        escape(card.get("machine") or "not stated"),
-        escape(f"angler-mjx {table['physics']['angler-mjx']}"),
+        escape(f"{_KINDS[card['kind']]}; {machine}, factor {planned.get('factor', 1.0):.2f}"),
+        escape(f"{_format_physics(table)} on {table['judged_on']}"),
         escape(reasons or "none"),
     ]
+    authors = escape(", ".join(card.get("authors", [])))
     return (
-        f"<tr><td>{escape(card['name'])}<br><small>{escape(', '.join(card.get('authors', [])))}"
-        f"</small></td><td>{100 * tier.arrived:.0f}</td>"
-        + "".join(f"<td>{cell}</td>" for cell in [*cells, *texts])
+        f'<tr><td><a href="{entry.source}" title="{escape(card.get("description", ""))}">'
+        f"{escape(card['name'])}</a><br><small>{authors}</small></td>"
+        f"<td>{100 * tier.arrived:.0f}</td>"
+        + "".join(f"<td>{cell}</td>" for cell in cells)
+        + "".join(f'<td class="text">{text}</td>' for text in texts)
         + "</tr>"
     )

@@ -9,12 +9,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from angler_mjx import __version__
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import AnglerError, ConfigError
 from angler_mjx.files import parse_model
 from angler_mjx.leaderboard import problem_files, problem_sets, sandbox, submission
 from angler_mjx.leaderboard.problem_files import ProblemManifest
@@ -23,16 +24,20 @@ from angler_mjx.leaderboard.submission import Card, InFlightConfig, PlanRows
 from angler_mjx.progress import Progress
 from angler_mjx.runs import multi_run
 from angler_mjx.runs.processes import OneProcess
-from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.runs.provenance import describe_environment, processor_name
 from angler_mjx.runs.resumable_folder import open_folder
+from angler_mjx.runs.simulator.world_preparation import check_planner
 from angler_mjx.runs.storage import checksums, folder
 from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.read_errors import read_table
 from angler_mjx.scenario.editing import scenario_table
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.studies.speed.measured import graph_search
 from angler_mjx.testing import referee
 
 RESULT, ANSWERS, PROBLEMS = "result.json", "answers", "problems"
+NO_PATH = "no path"
+"""What is said of a robot without a path whose file says nothing more."""
 LEVELS = ("nothing", "observed", "predicted", "truth")
 """Information levels, the least first."""
 
@@ -59,7 +64,7 @@ class ProblemScore:
     clearance_m: float | None
     """Least distance of any robot to rock, floor, obstacles and other robots; null unless flown."""
     planning_s: float | None
-    """Planning time on the card's machine; null if it is not known."""
+    """Planning time, over the factor of its machine; null if it is not known."""
     reason: str
     """Why it is not solved; empty if it is."""
 
@@ -74,6 +79,8 @@ class CheckedSet:
     """Plans; None where a planner or policy of the package flies."""
     bound_s: tuple[float, ...]
     """Of each problem; see `ProblemScore`."""
+    time_factor: float = 1.0
+    """Times as long as the reference core that the planning machine's core needs."""
 
     @property
     def run(self) -> str:
@@ -128,19 +135,23 @@ def check_submission(
         raise ConfigError(f"--sets {' '.join(sets)}: {source} enters none of them")
     if card.kind == "program":
         sandbox.require_sandbox()
+        progress.describe("measuring this machine")
+        time_factor = graph_search.measure_time_factor()
+    else:
+        time_factor = card.machine_factor
     request = {
         "submission": checksums.hash_folder(source),
         "problems": manifest.sha256(),
         "sets": [entry.name for entry in entries],
     }
     declared = multi_run.declare_folder(
-        "check of a submission", request, models={}, is_complete=_is_complete
+        "check of a submission", request, models={}, is_complete=is_complete
     )
     with open_folder(declared, out, resume=resume, processes=OneProcess()) as opened:
         building = opened.building
         shutil.copyfile(source / submission.CARD, building / submission.CARD)
         checked = _collect_plans(
-            benchmark, card, source, building, entries, manifest, secret, progress
+            benchmark, card, source, building, entries, manifest, secret, progress, time_factor
         )
         # Sets that differ in information fly the same programs, which the later ones then load.
         flown = sorted((one for one in checked if one.flies), key=lambda one: one.entry.information)
@@ -150,12 +161,21 @@ def check_submission(
             return False
         scores = _judge_sets(checked, building, progress)
         opened.publish(
-            partial(_write_result, card, manifest, entries, scores, keep_flights=keep_flights)
+            partial(
+                _write_result,
+                card,
+                manifest,
+                entries,
+                scores,
+                time_factor,
+                keep_flights=keep_flights,
+            )
         )
     return True
 
 
-def _is_complete(out: Path) -> bool:
+def is_complete(out: Path) -> bool:
+    """Return whether a folder holds the result of a check."""
     return (out / RESULT).is_file()
 
 
@@ -172,6 +192,7 @@ def _collect_plans(
     manifest: ProblemManifest,
     secret: bytes,
     progress: Progress,
+    time_factor: float,
 ) -> list[CheckedSet]:
     """Read, or make in the sandbox, the plans of all sets, and write them as they will be flown."""
     (building / ANSWERS).mkdir(exist_ok=True)
@@ -197,11 +218,19 @@ def _collect_plans(
             continue
         if card.program is not None:
             problems = building / PROBLEMS
-            rows = sandbox.plan_set(source, card.program, entry, scenario, record, problems)
+            rows = sandbox.plan_set(
+                source, card.program, entry, scenario, record, problems, time_factor
+            )
         else:
             path = source / submission.PLANS / f"{entry.name}.zarr"
             rows = submission.read_plans(path, entry, record, scenario.planner.points)
-        one = CheckedSet(entry=entry, scenario=scenario, rows=rows, bound_s=record.bound_s)
+        one = CheckedSet(
+            entry=entry,
+            scenario=scenario,
+            rows=rows,
+            bound_s=record.bound_s,
+            time_factor=time_factor,
+        )
         # An interrupted check flies the plans that its flight was begun with.
         if one.flies and multi_run.run_status(building / one.run) == "none":
             submission.write_plans(_answer_file(building, entry), scenario, rows)
@@ -217,16 +246,63 @@ def build_flown_scenario(scenario: Scenario, config: InFlightConfig, source: str
     Raises:
         ConfigError: a key is unknown, or the planner cannot plan these problems.
     """
-    table = scenario_table(scenario)
     levels = scenario.planner.information.model_dump()
-    planner = {**table["planner"], **config.planner}
     policy = dict(config.policy)
-    for part in (planner, policy):
-        part["information"] = limit_information(levels, part.get("information"))
     if not policy.get("name"):
-        policy = {}
+        return build_planned_scenario(scenario, config.planner, source, dict(config.execution))
+    policy["information"] = limit_information(levels, policy.get("information"))
+    table = scenario_table(scenario)
+    # A policy flies without a plan: its planner, if the card names none, must accept anything.
+    nothing = dict.fromkeys(levels, "nothing")
+    asked = config.planner.get("information") if config.planner else nothing
+    planner = {
+        **table["planner"],
+        **config.planner,
+        "information": limit_information(levels, asked),
+    }
     flown = {**table, "planner": planner, "policy": policy, "execution": dict(config.execution)}
     return parse_model(Scenario, flown, source=f"{source} ({scenario.name})")
+
+
+def build_planned_scenario(
+    scenario: Scenario,
+    planner: Mapping[str, object],
+    source: str,
+    execution: Mapping[str, object] = MappingProxyType({}),
+) -> Scenario:
+    """Return the scenario of a set with a planner, at the highest level that the planner can use.
+
+    Args:
+        scenario: of the set.
+        planner: keys of a scenario's ``planner``.
+        source: of them, for messages.
+        execution: keys of a scenario's ``execution``.
+
+    Raises:
+        ConfigError: a key is unknown, or it cannot plan these problems at any level.
+    """
+    levels = scenario.planner.information.model_dump()
+    asked = planner.get("information")
+    wanted: Sequence[Mapping[str, str] | None] = (
+        [asked] if isinstance(asked, Mapping) else [None, {**levels, "current": "nothing"}]
+    )
+    refusal: AnglerError | None = None
+    for level in wanted:
+        table = scenario_table(scenario)
+        table["planner"] = {
+            **table["planner"],
+            **planner,
+            "information": limit_information(levels, level),
+        }
+        table["execution"] = {**table.get("execution", {}), **execution}
+        changed = parse_model(Scenario, table, source=f"{source} ({scenario.name})")
+        try:
+            check_planner(changed)
+        except ConfigError as error:
+            refusal = error
+            continue
+        return changed
+    raise ConfigError(f"{scenario.name}: {refusal}")
 
 
 def limit_information(
@@ -286,7 +362,9 @@ def _flown_score(
     reason = fault or _find_fault(one, world) or _find_late(one, world)
     missing = [row for row in episodes if row["plan_reason"]]
     if not reason and missing:
-        reason = f"robot {missing[0]['robot']} has no plan: {missing[0]['plan_reason']}"
+        robot, text = missing[0]["robot"], missing[0]["plan_reason"]
+        text = _find_note(one, world, robot) if text == NO_PATH else text
+        reason = f"robot {robot} has no plan: {text}"
     if not reason and len(arrived) < len(episodes):
         first = next(row for row in episodes if row["outcome"] != "reached")
         reason = f"robot {first['robot']}: {first['outcome']}"
@@ -326,14 +404,14 @@ def _unflown_score(one: CheckedSet, world: int) -> ProblemScore:
         energy_j=0.0,
         clearance_m=None,
         planning_s=_planning_s(one, world, ()),
-        reason=_find_fault(one, world) or "no plan",
+        reason=_find_fault(one, world) or f"robot 0 has no plan: {_find_note(one, world, 0)}",
     )
 
 
 def _planning_s(one: CheckedSet, world: int, episodes: Sequence[Mapping[str, Any]]) -> float | None:
     if one.rows is None:
         return episodes[0]["planning_s"] if episodes else None
-    seconds = float(one.rows.planning_s[world])
+    seconds = float(one.rows.planning_s[world]) / one.time_factor
     return seconds if np.isfinite(seconds) else None
 
 
@@ -341,11 +419,22 @@ def _find_fault(one: CheckedSet, world: int) -> str:
     return one.rows.faults[world] if one.rows is not None else ""
 
 
+def _find_note(one: CheckedSet, world: int, robot: int) -> str:
+    """Return why a robot has no path, by its file of plans."""
+    note = "" if one.rows is None else one.rows.notes.get((world, robot), "")
+    return note or NO_PATH
+
+
 def _find_late(one: CheckedSet, world: int) -> str:
-    seconds = _planning_s(one, world, ())
-    if seconds is None or seconds <= one.entry.limit_s:
+    if one.rows is None:
         return ""
-    return f"planned for {seconds:.3g} s, at most {one.entry.limit_s:g} s"
+    seconds = _planning_s(one, world, ())
+    if seconds is None:
+        return "states no planning time (planning_s)"
+    if seconds <= one.entry.limit_s:
+        return ""
+    scaled = "" if one.time_factor == 1.0 else f" (divided by the factor {one.time_factor:.2f})"
+    return f"planned for {seconds:.3g} s{scaled}, at most {one.entry.limit_s:g} s"
 
 
 def _write_result(
@@ -353,6 +442,7 @@ def _write_result(
     manifest: ProblemManifest,
     entries: Sequence[ProblemSet],
     scores: Sequence[ProblemScore],
+    time_factor: float,
     building: Path,
     *,
     keep_flights: bool,
@@ -369,6 +459,10 @@ def _write_result(
             "entered": [entry.name for entry in entries],
             "physics": {"angler-mjx": __version__, "commit": environment.get("commit")},
             "judged_on": environment["device"],
+            "planned_on": {
+                "machine": _name_machine(card, str(environment["device"])),
+                "factor": time_factor,
+            },
             "scores": [asdict(score) for score in scores],
         },
     )
@@ -378,6 +472,13 @@ def _write_result(
     if not keep_flights:
         for path in (building / multi_run.RUNS_FOLDER).glob(f"*/{folder.TRAJECTORIES}"):
             shutil.rmtree(path)
+
+
+def _name_machine(card: Card, device: str) -> str:
+    """Return the machine of the planning times: the judge's, unless the card brings plans."""
+    if card.kind == "plans":
+        return card.machine
+    return processor_name() if card.kind == "program" or device == "cpu" else device
 
 
 def read_result(out: Path) -> dict[str, Any]:

@@ -7,16 +7,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 
-from angler_mjx.errors import AnglerError, ConfigError
+from angler_mjx.errors import ConfigError
 from angler_mjx.files import parse_model
 from angler_mjx.leaderboard import problem_files, problem_sets, submission
-from angler_mjx.leaderboard.checking import limit_information
+from angler_mjx.leaderboard.checking import build_planned_scenario
 from angler_mjx.leaderboard.problem_files import ProblemManifest
-from angler_mjx.leaderboard.problem_sets import FrozenBenchmark, ProblemSet
+from angler_mjx.leaderboard.submission import Card
+from angler_mjx.planning import register
 from angler_mjx.planning.device_planner import build_device_planner
 from angler_mjx.planning.problem import Problem
 from angler_mjx.progress import Progress
@@ -27,16 +29,15 @@ from angler_mjx.runs.simulator.compilation import CompiledFunction
 from angler_mjx.runs.simulator.host_planning import PlanNotes, planning_status
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.simulator.world_preparation import (
-    check_planner,
     problem_settings,
     replace_paths,
 )
 from angler_mjx.runs.storage import output_lock
 from angler_mjx.runs.storage.atomic_files import write_text
 from angler_mjx.runs.storage.plans import write as plan_writer
-from angler_mjx.scenario.editing import scenario_table
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
+from angler_mjx.studies.speed.measured import graph_search
 
 
 def plan_submission(
@@ -79,10 +80,7 @@ def plan_submission(
         "machine": processor_name(),
         "sets": list(sets),
     }
-    text = "\n".join(
-        f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in card.items()
-    )
-    _write_card(out / submission.CARD, text + "\n")
+    factor = _write_card(out / submission.CARD, card, planner)
     progress.start(sum(entry.problems for entry in entries), unit="problems")
     waiting = []
     for entry in entries:
@@ -97,7 +95,13 @@ def plan_submission(
         parts = [
             SetToPlan(
                 path=out / submission.PLANS / f"{entry.name}.zarr",
-                scenario=_plannable_scenario(benchmark, entry, manifest, secret, planner),
+                scenario=build_planned_scenario(
+                    problem_files.build_set_scenario(
+                        benchmark, entry, manifest.find(entry.name).attempt, secret
+                    ),
+                    {**planner, "deadline_s": factor * entry.limit_s},
+                    "planner",
+                ),
             )
             for entry in batch
         ]
@@ -115,47 +119,37 @@ class SetToPlan:
     """With the planner."""
 
 
-def _write_card(path: Path, text: str) -> None:
-    if path.exists() and path.read_text(encoding="utf-8") != text:
-        raise ConfigError(f"{path}: is the card of another submission; choose another folder")
-    write_text(path, text)
-
-
-def _plannable_scenario(
-    benchmark: FrozenBenchmark,
-    entry: ProblemSet,
-    manifest: ProblemManifest,
-    secret: bytes,
-    planner: Mapping[str, object],
-) -> Scenario:
-    """Return the scenario of a set with a planner, at the highest level that the planner can use.
+def _write_card(path: Path, card: dict[str, Any], planner: Mapping[str, object]) -> float:
+    """Write the card, or find it there; returns its ``machine_factor``.
 
     Raises:
-        ConfigError: it cannot plan these problems at any level.
+        ConfigError: there is the card of another submission.
     """
-    attempt = manifest.find(entry.name).attempt
-    scenario = problem_files.build_set_scenario(benchmark, entry, attempt, secret)
-    levels = scenario.planner.information.model_dump()
-    asked = planner.get("information")
-    wanted: Sequence[Mapping[str, str] | None] = (
-        [asked] if isinstance(asked, Mapping) else [None, {**levels, "current": "nothing"}]
-    )
-    refusal: AnglerError | None = None
-    for level in wanted:
-        table = scenario_table(scenario)
-        table["planner"] = {
-            **table["planner"],
-            **planner,
-            "information": limit_information(levels, level),
-        }
-        changed = parse_model(Scenario, table, source=f"planner ({entry.name})")
-        try:
-            check_planner(changed)
-        except ConfigError as error:
-            refusal = error
-            continue
-        return changed
-    raise ConfigError(f"{entry.name}: {refusal}")
+    if path.exists():
+        stored = submission.read_card(path.parent)
+        wanted = parse_model(Card, card, source=str(path))
+        names = [name for name in card if getattr(stored, name) != getattr(wanted, name)]
+        if names:
+            raise ConfigError(
+                f"{path}: is the card of another submission ({', '.join(names)} would differ); "
+                "choose another folder"
+            )
+        return stored.machine_factor
+    factor = round(_measure_factor(planner), 3)
+    lines = [
+        f"{key} = {json.dumps(value, ensure_ascii=False)}"
+        for key, value in {**card, "machine_factor": factor}.items()
+    ]
+    write_text(path, "\n".join(lines) + "\n")
+    return factor
+
+
+def _measure_factor(planner: Mapping[str, object]) -> float:
+    """Return the factor of this machine; 1 for planners on an accelerator."""
+    on_device = register.find(str(planner["name"])).on_device
+    if on_device and jax.default_backend() != "cpu":
+        return 1.0
+    return graph_search.measure_time_factor()
 
 
 def _plan_sets(parts: Sequence[SetToPlan], workers: int | None) -> Iterator[SetToPlan]:

@@ -31,7 +31,9 @@ from angler_mjx.scenario.scenario import Scenario
 FOLDER = "program"
 """Folder of the program in a submission."""
 GRACE = 1.0
-"""Seconds beyond the limit for starting the sandbox and the program."""
+"""Seconds beyond the limit after which a program is ended, so that its start is no matter."""
+STARTS = 3
+"""Empty programs whose least time is that of starting a sandbox."""
 NOBODY = 65534
 """User and group inside."""
 FIRST_USER = 1_000_000
@@ -86,6 +88,7 @@ def plan_set(
     scenario: Scenario,
     record: SetRecord,
     problems: Path,
+    time_factor: float = 1.0,
 ) -> PlanRows:
     """Run a program once for each problem of a set, and gather its plans.
 
@@ -98,14 +101,45 @@ def plan_set(
         scenario: of the set.
         record: of the set, in the manifest.
         problems: folder of problem files.
+        time_factor: times as long as the reference core that a core of this machine needs; the
+            time limit is so many times as long.
     """
     bubblewrap = require_sandbox()
+    start_s = _measure_start(bubblewrap)
     return merge_rows(
         [
-            _plan_problem(bubblewrap, source, config, entry, scenario, record, problems, world)
+            _plan_problem(
+                bubblewrap,
+                source,
+                config,
+                entry,
+                scenario,
+                record,
+                problems,
+                world,
+                time_factor,
+                start_s,
+            )
             for world in range(entry.problems)
         ]
     )
+
+
+def _measure_start(bubblewrap: str) -> float:
+    """Return the seconds that a sandbox takes for a program that does nothing."""
+    config = ProgramConfig(command=("/usr/bin/true",))
+    times = []
+    with tempfile.TemporaryDirectory(prefix="angler-sandbox-") as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        for part in (FOLDER, "problem.zarr", "out"):
+            (folder / part).mkdir()
+        for _ in range(STARTS):
+            begin = time.perf_counter()
+            if run_program(bubblewrap, config, folder, GRACE):
+                return 0.0
+            times.append(time.perf_counter() - begin)
+    return min(times)
 
 
 def _plan_problem(
@@ -117,7 +151,10 @@ def _plan_problem(
     record: SetRecord,
     problems: Path,
     world: int,
+    time_factor: float,
+    start_s: float,
 ) -> PlanRows:
+    limit_s = time_factor * entry.limit_s
     single = problem_sets.single_problem(entry)
     with tempfile.TemporaryDirectory(prefix="angler-sandbox-") as name:
         folder = Path(name)
@@ -127,8 +164,10 @@ def _plan_problem(
         (folder / "out").mkdir()
         (folder / "out").chmod(0o777)
         begin = time.perf_counter()
-        fault = run_program(bubblewrap, config, folder, entry.limit_s)
-        seconds = time.perf_counter() - begin
+        fault = run_program(bubblewrap, config, folder, limit_s)
+        seconds = max(0.0, time.perf_counter() - begin - start_s)
+        if seconds > limit_s and not fault:
+            fault = _describe_late(limit_s)
         if fault:
             rows = submission.empty_rows(single, fault)
         else:
@@ -142,7 +181,7 @@ def _plan_problem(
             path = folder / "out" / "plan.zarr"
             rows = submission.read_plans(path, single, one, scenario.planner.points)
     return PlanRows(
-        arrays=rows.arrays, planning_s=np.array([min(seconds, entry.limit_s)]), faults=rows.faults
+        arrays=rows.arrays, planning_s=np.array([min(seconds, limit_s)]), faults=rows.faults
     )
 
 
@@ -235,14 +274,23 @@ def run_program(bubblewrap: str, config: ProgramConfig, folder: Path, limit_s: f
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
-        return f"did not end within {limit_s:g} s"
+        return _describe_late(limit_s)
     if process.returncode == 0:
         return ""
     lines = errors.decode(errors="replace").strip().splitlines()
     text = f": {lines[-1][:200]}" if lines else ""
     if process.returncode in (128 + signal.SIGXCPU, 128 + signal.SIGKILL):
         return f"was killed at a limit of time or memory{text}"
+    if process.returncode == 128 + signal.SIGXFSZ:
+        return f"wrote a file of more than {MAX_FILE_BYTES // 2**20} MiB{text}"
+    names = {128 + number: number.name for number in signal.Signals}
+    if process.returncode in names:
+        return f"was ended by the signal {names[process.returncode]}{text}"
     return f"ended with status {process.returncode}{text}"
+
+
+def _describe_late(limit_s: float) -> str:
+    return f"did not end within {limit_s:.3g} s"
 
 
 def _unprivileged() -> dict[str, Any]:

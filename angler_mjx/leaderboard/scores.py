@@ -16,6 +16,8 @@ type ScoreRow = Mapping[str, Any]
 """Fields of `checking.ProblemScore`, as read from ``result.json``."""
 
 BOOTSTRAPS, SEED = 2000, 1
+MAX_FAILED_LINES = 12
+"""Failed problems that are printed with their reasons."""
 MEDIANS = ("makespan_ratio", "energy_j_per_robot", "clearance_m", "planning_s")
 """Quantities with medians: makespan over the straight-line bound, energy of a robot, least
 clearance, planning time."""
@@ -49,7 +51,12 @@ class TierScore:
 
 def list_tiers(rows: Sequence[ScoreRow]) -> list[tuple[str, list[ScoreRow]]]:
     """Return the tiers: all, by robots, by environment, by condition, by information."""
-    tiers: list[tuple[str, list[ScoreRow]]] = [("all", list(rows))]
+    return [tier for group in list_tier_groups(rows) for tier in group]
+
+
+def list_tier_groups(rows: Sequence[ScoreRow]) -> list[list[tuple[str, list[ScoreRow]]]]:
+    """Return the tiers of `list_tiers` by what they are a part of: five groups."""
+    groups: list[list[tuple[str, list[ScoreRow]]]] = [[("all", list(rows))]]
     by_part: list[Callable[[ScoreRow], str]] = [
         lambda row: f"{row['robots']} robots" if row["robots"] > 1 else "1 robot",
         lambda row: str(row["set"]).split("-")[0],
@@ -58,8 +65,8 @@ def list_tiers(rows: Sequence[ScoreRow]) -> list[tuple[str, list[ScoreRow]]]:
     ]
     for part in by_part:
         names = dict.fromkeys(part(row) for row in rows)
-        tiers += [(name, [row for row in rows if part(row) == name]) for name in names]
-    return tiers
+        groups.append([(name, [row for row in rows if part(row) == name]) for name in names])
+    return groups
 
 
 def score_tiers(rows: Sequence[ScoreRow]) -> list[TierScore]:
@@ -106,10 +113,13 @@ def measure(quantity: str, row: ScoreRow) -> float | None:
 
 
 def format_scores(result: Mapping[str, Any]) -> str:
-    """Return the scores of a result as a text table, and the commonest reasons of failures."""
+    """Return the scores of a result as a text table, and why problems failed."""
+    physics, planned = result["physics"], result.get("planned_on", {})
     lines = [
-        f"{result['card']['name']}, {result['benchmark']}",
-        f"{'tier':<12}{'solved':>20}{'robots':>9}{'time':>8}{'energy':>9}{'gap':>8}{'plan':>9}",
+        f"{result['card']['name']}, {result['benchmark']}, flown by angler-mjx "
+        f"{physics['angler-mjx']}; machine factor of planning {planned.get('factor', 1.0):.2f}",
+        f"{'tier':<12}{'solved':>20}{'robots':>9}{'time':>8}{'energy':>9}{'gap':>8}{'planning':>10}",
+        f"{'':<12}{'':>20}{'':>9}{'':>8}{'J':>9}{'m':>8}{'s':>10}",
     ]
     for tier in score_tiers(result["scores"]):
         medians = [tier.medians[name] for name in MEDIANS]
@@ -120,17 +130,20 @@ def format_scores(result: Mapping[str, Any]) -> str:
         )
         lines.append(
             f"{tier.name:<12}{rate:>20}{100 * tier.arrived:>7.0f} %"
-            f"{texts[0]:>8}{texts[1]:>9}{texts[2]:>8}{texts[3]:>9}"
+            f"{texts[0]:>8}{texts[1]:>9}{texts[2]:>8}{texts[3]:>10}"
         )
     lines += [
         "",
         "solved: all robots arrived, with the 95 % interval; robots: that arrived; medians over "
         "solved",
-        "problems: time over the straight line's, energy of a robot J, least gap m, planning time "
-        "s",
+        "problems: time over the straight line's, energy of a robot, least gap, planning time",
     ]
-    reasons = count_reasons(result["scores"])
-    lines += [f"  {count} x {reason}" for reason, count in reasons[:8]]
+    failed = [row for row in result["scores"] if not row["solved"]]
+    lines += [f"  {row['problem']}: {row['reason']}" for row in failed[:MAX_FAILED_LINES]]
+    if len(failed) > MAX_FAILED_LINES:
+        lines.append(f"  and {len(failed) - MAX_FAILED_LINES} more in result.json; the commonest:")
+        reasons = count_reasons(result["scores"])
+        lines += [f"  {count} x {reason}" for reason, count in reasons[:8]]
     return "\n".join(lines)
 
 

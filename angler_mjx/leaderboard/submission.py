@@ -8,7 +8,7 @@ understood is refused.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,6 +28,8 @@ from angler_mjx.scenario.scenario import Scenario
 CARD, PLANS = "card.toml", "plans"
 MAX_FILE_POINTS = 1024
 """Points of a path that are read; a file with wider arrays is refused."""
+MAX_NOTE = 200
+"""Characters of a reason of a file that are read."""
 _OPTIONAL_WIDTHS = {"yaw_rad": 0, "velocity": 4, "acceleration": 4, "degree": 0}
 """Optional arrays of a file of plans, with the size of the axis behind that of the points."""
 
@@ -69,6 +71,9 @@ class Card(FileModel):
     kind: Literal["plans", "program", "in_flight"] = "plans"
     machine: Annotated[str, Field(max_length=500)] = ""
     """Machine of the planning times."""
+    machine_factor: Annotated[float, Field(ge=0.05, le=20)] = 1.0
+    """Times as long as the reference core that a core of that machine needs, by ``angler bench
+    --workload search``; stated planning times are divided by it."""
     sets: tuple[Text, ...] = ()
     """Sets or parts of names of sets that are entered; all if left out."""
     program: ProgramConfig | None = None
@@ -123,6 +128,8 @@ class PlanRows:
     """float [world], as stated or measured; NaN if unknown."""
     faults: Sequence[str] = field(default=())
     """Reason of each problem that has no usable plan as a whole; empty texts for others."""
+    notes: Mapping[tuple[int, int], str] = field(default_factory=dict)
+    """What the file says of why robots have no path, by problem and robot."""
 
 
 def empty_rows(entry: ProblemSet, reason: str) -> PlanRows:
@@ -151,7 +158,7 @@ def read_plans(path: Path, entry: ProblemSet, record: SetRecord, max_points: int
     if not path.exists():
         return empty_rows(entry, f"{path.name} is missing")
     try:
-        with wrap_read_errors(path):
+        with wrap_read_errors(Path(path.name)):
             return _read_group(path, entry, record, max_points)
     except AnglerError as error:
         return empty_rows(entry, str(error))
@@ -189,21 +196,65 @@ def _read_group(path: Path, entry: ProblemSet, record: SetRecord, max_points: in
             )
     if len(expected.keys() & _OPTIONAL_WIDTHS.keys()) and "yaw_rad" not in expected:
         raise ConfigError(f"{path.name}: has velocity, acceleration or degree without yaw_rad")
-    arrays = {name: np.asarray(group.get_array(name)[:]) for name in expected}
+    arrays, damage = _read_arrays(path, group, list(expected), entry.problems)
     planning_s = arrays.pop("planning_s", np.full(entry.problems, np.nan))
-    return _limit_points(arrays, planning_s.astype(float), max_points)
+    limited = _limit_points(arrays, planning_s.astype(float), max_points, damage)
+    return replace(limited, notes=_read_notes(group, shapes.get("reason") == rows))
+
+
+def _read_notes(group: zarr.Group, has_reasons: bool) -> dict[tuple[int, int], str]:
+    """Read why robots have no path; nothing where the file does not say it as it should."""
+    texts = group.attrs.get("reasons")
+    if not has_reasons or not isinstance(texts, list):
+        return {}
+    try:
+        with wrap_read_errors(Path("reason")):
+            index = np.asarray(group.get_array("reason")[:]).astype(int)
+    except AnglerError:
+        return {}
+    return {
+        (world, robot): "".join(c for c in str(texts[at])[:MAX_NOTE] if c.isprintable())
+        for (world, robot), at in np.ndenumerate(index)
+        if 0 <= at < len(texts)
+    }
+
+
+def _read_arrays(
+    path: Path, group: zarr.Group, names: Sequence[str], problems: int
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Read arrays, and the damage of each problem; problem by problem where the whole has some."""
+    damage = [""] * problems
+    arrays = {}
+    for name in names:
+        array = group.get_array(name)
+        try:
+            with wrap_read_errors(Path(path.name) / name):
+                arrays[name] = np.asarray(array[:])
+        except AnglerError:
+            rows = np.zeros(array.shape, array.dtype)
+            for world in range(problems):
+                try:
+                    with wrap_read_errors(Path(path.name) / name):
+                        rows[world] = array[world]
+                except AnglerError as error:
+                    damage[world] = damage[world] or str(error)
+            arrays[name] = rows
+    return arrays, damage
 
 
 def _limit_points(
-    arrays: dict[str, np.ndarray], planning_s: np.ndarray, max_points: int
+    arrays: dict[str, np.ndarray],
+    planning_s: np.ndarray,
+    max_points: int,
+    damage: Sequence[str],
 ) -> PlanRows:
     """Take out paths that are too long, and columns that no path needs any more."""
     counts = arrays["points"].astype(np.int64)
     is_long = counts > max_points
     faults = []
     for world, (row, points) in enumerate(zip(is_long, counts, strict=True)):
-        text = ""
-        if row.any():
+        text = damage[world]
+        if row.any() and not text:
             robot = int(np.argmax(row))
             text = f"robot {robot}: path of {points[robot]} points, at most {max_points}"
         stated = planning_s[world]

@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cmath>
 #include <cstdint>
 #include <cstdlib>
@@ -175,8 +176,9 @@ int main(int count, char** arguments) {
   const auto sizes = shape(problems / "grid/occupied"), team = shape(problems / "team/start_m");
   const int worlds = team[0], robots = team[1], most = int(number(about, "max_points"));
   std::vector<int32_t> points(worlds * robots, 0);
-  std::vector<float> times(worlds * robots * most, 0), places(worlds * robots * most * 3, 0);
+  std::vector<float> times(worlds * robots * most, 0), places(worlds * robots * most * 3, 0), seconds(worlds, 0);
   for (int world = 0; world < worlds; ++world) {
+    const auto begin = std::chrono::steady_clock::now();
     const auto one = [&](const char* name) { return read<float>(problems / name, world); };
     const auto origin = one("grid/origin_m"), start = one("team/start_m"), goal = one("team/goal_m");
     const auto radius = one("team/radius_m"), speed = one("team/cruise_speed_mps");
@@ -195,10 +197,12 @@ int main(int count, char** arguments) {
       }
       if (time <= number(about, "horizon_s")) points[at] = int(found.size());
     }
+    seconds[world] = std::chrono::duration<float>(std::chrono::steady_clock::now() - begin).count();
   }
   write(plans / "points", "int32", {worlds, robots}, points);
   write(plans / "time_s", "float32", {worlds, robots, most}, times);
   write(plans / "position_m", "float32", {worlds, robots, most, 3}, places);
+  write(plans / "planning_s", "float32", {worlds}, seconds);
   std::ofstream(plans / "zarr.json") << R"({"zarr_format": 3, "node_type": "group", "attributes": {"schema": "angler_mjx plans", "schema_version": 1, "digest": ")"
       << word(about, "digest") << R"(", "scenario": ")" << word(about, "scenario") << R"(", "seed": )" << int64_t(number(about, "seed")) << "}}";
   std::cout << std::count_if(points.begin(), points.end(), [](int n) { return n > 0; }) << " of " << points.size() << " robots have a path\n";

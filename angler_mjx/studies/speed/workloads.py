@@ -22,6 +22,7 @@ type Kind = Literal[
     "preparation",
     "generation",
     "clearance",
+    "search",
     "compilation",
 ]
 type Engine = Literal["mjx", "fused"]
@@ -119,6 +120,13 @@ WORKLOADS: dict[str, Workload] = {
         robots=8,
         label="clearance",
     ),
+    "search": Workload(
+        about="one processor core in graph search, which scales the time limits of ANGLER-1",
+        kind="search",
+        robots=1,
+        label="search",
+        worlds=1,
+    ),
     "compile": Workload(
         about="seconds that the programs of the shipped scenarios take to compile",
         kind="compilation",
@@ -155,9 +163,9 @@ class WorkloadGrid:
     robots: tuple[int, ...] = ()
 
 
-_ALL = tuple(name for name in WORKLOADS if name not in ("recording", "compile"))
-"""But the disk's, which takes as much of the disk as a run, and the compiler's: neither is the
-speed of the device."""
+_ALL = tuple(name for name in WORKLOADS if name not in ("recording", "search", "compile"))
+"""But the disk's, which takes as much of the disk as a run, a processor core's and the compiler's:
+none is the speed of the device."""
 
 PROFILES: dict[Profile, WorkloadGrid] = {
     "quick": WorkloadGrid(
@@ -241,6 +249,8 @@ def build_cases(request: SpeedRequest) -> list[WorkloadCase]:
         is_compiled = workload.kind == "compilation"
         compiled_worlds = (workload.worlds,) if workload.worlds else ()
         sizes = request.worlds or (compiled_worlds if is_compiled else grid.worlds)
+        if workload.kind == "search":
+            sizes = (1,)
         for robots in _robot_counts(
             workload, request.robots or (() if is_compiled else grid.robots)
         ):
@@ -278,7 +288,7 @@ def _select_workloads(request: SpeedRequest, grid: WorkloadGrid) -> list[Workloa
 
 def _robot_counts(workload: Workload, robots: tuple[int, ...]) -> tuple[int, ...]:
     """Numbers of robots in a world that a workload is measured for."""
-    is_alone = workload.kind in ("dynamics", "arm_dynamics")
+    is_alone = workload.kind in ("dynamics", "arm_dynamics", "search")
     return (workload.robots,) if is_alone or not robots else robots
 
 

@@ -1,6 +1,7 @@
 """A submission flown and judged: what solves a problem, and what fails it."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -8,8 +9,9 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.leaderboard import checking, problem_sets
-from angler_mjx.leaderboard.submission import InFlightConfig
+from angler_mjx.leaderboard.submission import Card, InFlightConfig, empty_rows
 from angler_mjx.progress import Progress
+from angler_mjx.runs.simulator.world_preparation import check_planner
 
 from .submitting import straight_lines, write_card, write_plans
 
@@ -121,5 +123,67 @@ def test_a_policy_flies_with_the_information_of_the_set(benchmark, sets):
     assert flown.policy.name == "mppi"
     assert flown.policy.information.model_dump() == {"obstacles": "observed", "current": "observed"}
     assert flown.digest() == scenario.digest()
+    # The planner that a policy does not use must not refuse the problems.
+    check_planner(flown)
     with pytest.raises(ConfigError, match="worlds"):
         checking.build_flown_scenario(scenario, InFlightConfig(planner={"worlds": 3}), "card.toml")
+
+
+def test_a_planner_in_flight_gets_the_highest_level_that_it_can_use(benchmark, sets):
+    scenario = problem_sets.build_scenario(benchmark, sets["reef-moving-known-02"], 1)
+    flown = checking.build_flown_scenario(
+        scenario, InFlightConfig(planner={"name": "grid"}), "card.toml"
+    )
+    assert flown.planner.information.model_dump() == {"obstacles": "truth", "current": "nothing"}
+
+
+@pytest.mark.parametrize(
+    ("seconds", "factor", "reason"),
+    [
+        (0.9, 1.0, ""),
+        (1.1, 1.0, "planned for 1.1 s, at most 1 s"),
+        (1.9, 2.0, ""),
+        (0.9, 0.5, "planned for 1.8 s (divided by the factor 0.50), at most 1 s"),
+        (np.nan, 1.0, "states no planning time (planning_s)"),
+    ],
+)
+def test_planning_times_are_limited_after_division_by_the_factor(
+    benchmark, sets, seconds, factor, reason
+):
+    rows = empty_rows(replace(sets[NAME], problems=1), "")
+    one = checking.CheckedSet(
+        entry=sets[NAME],
+        scenario=problem_sets.build_scenario(benchmark, sets[NAME], 1),
+        rows=replace(rows, planning_s=np.array([seconds])),
+        bound_s=(60.0,),
+        time_factor=factor,
+    )
+    assert checking._find_late(one, 0) == reason
+
+
+def test_a_problem_that_nobody_flies_has_the_reason_of_its_file(benchmark, sets):
+    rows = replace(empty_rows(replace(sets[NAME], problems=2), ""), notes={(1, 0): "walled in"})
+    rows = replace(rows, faults=["", ""])
+    one = checking.CheckedSet(
+        entry=sets[NAME],
+        scenario=problem_sets.build_scenario(benchmark, sets[NAME], 1),
+        rows=rows,
+        bound_s=(60.0, 60.0),
+    )
+    reasons = [checking._unflown_score(one, world).reason for world in range(2)]
+    assert reasons == ["robot 0 has no plan: no path", "robot 0 has no plan: walled in"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "device", "machine"),
+    [
+        ("plans", "gpu", "theirs"),
+        ("program", "gpu", "our core"),
+        ("in_flight", "cpu", "our core"),
+        ("in_flight", "gpu", "gpu"),
+    ],
+)
+def test_planning_times_are_of_the_machine_that_planned(monkeypatch, kind, device, machine):
+    monkeypatch.setattr(checking, "processor_name", lambda: "our core")
+    card = Card(benchmark="b", name="n", kind=kind, machine="theirs")
+    assert checking._name_machine(card, device) == machine

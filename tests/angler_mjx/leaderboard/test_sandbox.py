@@ -51,14 +51,14 @@ json.dump({"zarr_format": 3, "node_type": "group", "attributes": {"schema": "ang
 def run(tmp_path, problems, benchmark, sets, manifest):
     """Run Python code as the program of a submission, and return its plans."""
 
-    def run(code, count=1, **limits):
+    def run(code, count=1, time_factor=1.0, **limits):
         folder = tmp_path / "program"
-        folder.mkdir()
+        folder.mkdir(exist_ok=True)
         (folder / "plan.py").write_text(code)
         config = ProgramConfig(command=("/usr/bin/python3", "plan.py"), **limits)
         entry, record = replace(sets[NAME], problems=count), manifest.find(NAME)
         scenario = problem_files.build_set_scenario(benchmark, entry, record.attempt, b"")
-        return sandbox.plan_set(tmp_path, config, entry, scenario, record, problems)
+        return sandbox.plan_set(tmp_path, config, entry, scenario, record, problems, time_factor)
 
     return run
 
@@ -79,6 +79,31 @@ def test_a_program_plans_each_problem_and_is_timed(run, problems):
         goal = np.frombuffer((group / f"team/goal_m/c/{world}/0/0").read_bytes(), "<f4")
         np.testing.assert_array_equal(rows.arrays["position_m"][world, 0, 1], goal)
     assert np.all((rows.planning_s > 0.0) & (rows.planning_s <= 1.0))
+
+
+@needs_sandbox
+@needs_python
+def test_the_time_limit_is_as_many_times_as_long_as_the_machine_is_slow(run):
+    slow = "import time; time.sleep(1.3)\n" + STRAIGHT
+    assert run(slow).faults[0] == "did not end within 1 s"
+    rows = run(slow, time_factor=8.0)
+    assert rows.faults[0] == ""
+    assert 1.3 <= rows.planning_s[0] < 8.0
+
+
+@needs_sandbox
+@needs_python
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("SIGSEGV", "was ended by the signal SIGSEGV"),
+        ("SIGXFSZ", "wrote a file of more than 64 MiB"),
+    ],
+)
+def test_a_program_that_a_signal_ends_fails_with_its_name(run, name, fault):
+    code = f"import os, signal\nsignal.signal(signal.{name}, signal.SIG_DFL)\n"
+    code += f"os.kill(os.getpid(), signal.{name})"
+    assert run(code).faults[0].startswith(fault)
 
 
 @needs_sandbox

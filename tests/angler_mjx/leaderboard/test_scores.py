@@ -1,6 +1,7 @@
 """Scores and board, from rows that are written by hand."""
 
 import json
+import re
 
 import pytest
 from scipy import stats
@@ -106,7 +107,7 @@ def result(name, rows=ROWS, **more):
         "benchmark": problem_sets.load_benchmark().title,
         "problems_sha256": "0" * 64,
         "hidden": False,
-        "card": {"name": name, "authors": ["A. <Author>"], "machine": ""},
+        "card": {"name": name, "authors": ["A. <Author>"], "machine": "", "kind": "plans"},
         "entered": sorted({row["set"] for row in rows}),
         "physics": {"angler-mjx": "0.2.0", "commit": None},
         "judged_on": "cpu",
@@ -117,7 +118,25 @@ def result(name, rows=ROWS, **more):
 def test_scores_are_printed_with_intervals_and_reasons():
     text = scores.format_scores(result("mine"))
     assert "all                3/5 (23-88 %)     67 %" in text
-    assert "2 x collision_dynamic" in text
+    assert "  reef-moving-observed-02/0: robot 1: collision_dynamic" in text
+    assert "  reef-ocean-observed-02/0: robot 0: collision_dynamic" in text
+    assert "angler-mjx 0.2.0" in text
+    # Units stand below the names of their columns.
+    head, units = text.splitlines()[1:3]
+    for name, unit in (("energy", "J"), ("gap", "m"), ("planning", "s")):
+        assert units[head.index(name) + len(name) - 1] == unit
+
+
+def test_many_failures_are_counted_and_the_first_are_named():
+    rows = [
+        row(
+            f"reef-still-known-{i:02d}", 1, solved=False, makespan_s=None, reason="robot 0: timeout"
+        )
+        for i in range(30)
+    ]
+    lines = scores.format_scores(result("mine", rows=rows)).splitlines()
+    assert sum(line.startswith("  reef-still-known-") for line in lines) == scores.MAX_FAILED_LINES
+    assert "  30 x timeout" in lines
 
 
 def write(folder, name, **more):
@@ -136,13 +155,55 @@ def test_the_board_orders_submissions_and_keeps_their_results(tmp_path):
     page = board.build_board(paths, tmp_path / "board", baselines=False).read_text()
     assert page.index("<td>a</td>") < page.index("<td>b</td>")
     assert "A. &lt;Author&gt;" in page
-    assert "5 of 140 sets" in page
-    assert "1 of 140 sets" in page
+    assert page.index("<td>b</td>") < page.index("<td>c</td>")
+    assert page.count("<h2>Public problems, part of the sets</h2>") == 1
     kept = sorted((tmp_path / "board" / "results").iterdir())
     assert [json.loads(path.read_text())["card"]["name"] for path in kept] == ["b", "a", "c"]
     again = board.build_board(paths[:1], tmp_path / "board", baselines=False).read_text()
     assert "<td>a</td>" not in again
     assert len(list((tmp_path / "board" / "results").iterdir())) == 1
+
+
+def cells_of(page, name):
+    """Return texts of the first row of a planner, without marks."""
+    text = page.split(f"<td>{name}</td>", 1)[1].split("</tr>", 1)[0]
+    return [re.sub(r"<[^>]*>", " ", cell).split() for cell in re.findall(r"<td.*?</td>", text)]
+
+
+def test_a_tier_that_was_not_entered_is_empty_and_not_failed(tmp_path):
+    lost = [
+        row("reef-still-known-64", 64, solved=False, makespan_s=None, reason="robot 3: timeout")
+    ]
+    paths = [write(tmp_path, "few", rows=ROWS[:1]), write(tmp_path, "lost", rows=lost)]
+    page = board.build_board(paths, tmp_path / "board", baselines=False).read_text()
+    # all; 1, 2, 4, 8, 16, 32, 64 robots; open, reef, dense, corridor; still, moving, ocean; known,
+    # observed
+    few, fails = cells_of(page, "few"), cells_of(page, "lost")
+    dash = ["&ndash;"]
+    assert len(few) == len(fails) == 17
+    assert few[0] == ["100", "21&ndash;100", "1", "of", "1"]
+    assert few[2:8] == [dash] * 6
+    assert fails[7] == ["0", "0&ndash;79", "0", "of", "1"]
+    assert fails[1:7] == [dash] * 6
+    assert few[8:12] == [few[0], dash, dash, dash]
+
+
+def test_the_board_states_physics_machine_factor_and_time_limits(tmp_path):
+    path = write(
+        tmp_path,
+        "a",
+        planned_on={"machine": "A Core", "factor": 1.37},
+        physics={"angler-mjx": "0.2.0", "commit": "0123456789abcdef"},
+    )
+    page = board.build_board([path], tmp_path / "board", baselines=False).read_text()
+    assert page.count("angler-mjx 0.2.0 (01234567)") == 2
+    assert "A Core, factor 1.37" in page
+    limits = page.split("<th>time limit, s</th>")[1].split("</tr>")[0]
+    assert re.findall(r"\d+", limits) == ["1", "2", "4", "8", "16", "32", "64"]
+    assert "1,700 searches/s" in page
+    assert 'href="results/000.json"' in page
+    # 1000 J of each robot.
+    assert ">1<br><small>1&ndash;1</small>" in page
 
 
 def test_boards_of_two_results_with_one_name_or_in_a_strange_folder_are_refused(tmp_path):

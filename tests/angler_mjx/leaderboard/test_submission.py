@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import zarr
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.leaderboard import submission
@@ -110,6 +111,39 @@ def test_a_path_that_is_too_long_fails_its_problem_alone(read):
     assert list(rows.faults) == ["", "robot 0: path of 65 points, at most 64"]
     assert rows.arrays["points"].tolist() == [[2], [0]]
     assert rows.arrays["time_s"].shape == (2, 1, 64)
+
+
+def test_a_damaged_chunk_fails_its_problem_alone(tmp_path, problems, sets, manifest):
+    arrays, attributes = straight_lines(problems, NAME)
+    times = arrays.pop("time_s")
+    write_plans(tmp_path, NAME, arrays, attributes)
+    path = tmp_path / "plans" / f"{NAME}.zarr"
+    zarr.open_group(path).create_array("time_s", data=times, chunks=(1, 1, 2), compressors=None)
+    (path / "time_s/c/1/0/0").write_bytes(b"cut")
+    rows = submission.read_plans(path, sets[NAME], manifest.find(NAME), 64)
+    assert rows.faults[0] == ""
+    assert rows.faults[1].startswith(f"{NAME}.zarr/time_s: cannot be read")
+    np.testing.assert_array_equal(rows.arrays["time_s"][0], times[0])
+
+
+@pytest.mark.parametrize(
+    ("reasons", "notes"),
+    [
+        (["walled\x1b in"], {(1, 0): "walled in"}),
+        (["x" * 5000], {(1, 0): "x" * 200}),
+        ([], {}),
+        ("none", {}),
+        (None, {}),
+    ],
+)
+def test_reasons_of_a_file_are_read_without_trust(read, reasons, notes):
+    def change(arrays, attributes):
+        arrays["reason"] = np.array([[-1], [0]], "i4")
+        attributes["reasons"] = reasons
+
+    rows = read(change)
+    assert rows.notes == notes
+    assert list(rows.faults) == ["", ""]
 
 
 @pytest.mark.parametrize("seconds", [-1.0, np.inf])

@@ -13,6 +13,7 @@ from angler_mjx.studies.speed.measured import (
     compilation,
     environments,
     free_motion,
+    graph_search,
     hull_clearance,
     recording,
     simulation,
@@ -86,6 +87,8 @@ def _measure_rate(case: WorkloadCase, progress: Progress) -> SpeedRow:
             return replace(row, device_peak_bytes=peak_device_bytes())
         case "clearance":
             return hull_clearance.measure(worlds=worlds, robots=robots, repeats=repeats)
+        case "search":
+            return graph_search.measure(repeats=repeats)
         case "dynamics":
             return free_motion.measure(vehicles=worlds, repeats=repeats, kernels=case.kernels)
         case "arm_dynamics":

@@ -1,0 +1,223 @@
+"""Baselines: the package's planners and policies, planned, flown, judged and stored part by part.
+
+A part is a baseline's sets with teams of one size. The folder of the work holds
+``BASELINE/ROBOTS/submission`` and ``BASELINE/ROBOTS/check``; whatever is there is kept, so that an
+interrupted call is continued by the same call: plans set by set, flights run by run. A baseline's
+judged parts are merged into one result, which `board` shows.
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.leaderboard import checking, entering, problem_files, problem_sets, submission
+from angler_mjx.leaderboard.problem_files import ProblemManifest
+from angler_mjx.leaderboard.problem_sets import FrozenBenchmark, ProblemSet
+from angler_mjx.progress import Progress
+from angler_mjx.runs.storage import output_lock
+from angler_mjx.runs.storage.atomic_files import write_json, write_text
+
+HOST_PLANNERS = (
+    "RRTConnect",
+    "BKPIECE1",
+    "KPIECE1",
+    "LBKPIECE1",
+    "RRT",
+    "PRM",
+    "RRTstar",
+    "PRMstar",
+    "InformedRRTstar",
+    "SORRTstar",
+    "BITstar",
+    "FMT",
+    "BFMT",
+    "AORRTC",
+)
+"""Planners of OMPL."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baseline:
+    """A planner or policy of the package that enters the benchmark."""
+
+    name: str
+    """On the board, and of its folder."""
+    in_flight: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """The card's table ``[in_flight]``; empty for plans."""
+
+
+BASELINES = (
+    *(Baseline(name=name) for name in ("priority", "grid", "current")),
+    Baseline(name="mppi", in_flight={"policy": {"name": "mppi"}}),
+    *(Baseline(name=name) for name in HOST_PLANNERS),
+)
+"""All, in the order in which they are made."""
+
+
+def select_baselines(names: Sequence[str]) -> list[Baseline]:
+    """Return baselines by their names; all if there is none.
+
+    Raises:
+        ConfigError: there is no such baseline.
+    """
+    by_name = {baseline.name: baseline for baseline in BASELINES}
+    if unknown := [name for name in names if name not in by_name]:
+        raise ConfigError(
+            f"--only {format_value(unknown[0])}: no such baseline; there is {', '.join(by_name)}"
+        )
+    return [by_name[name] for name in names] if names else list(BASELINES)
+
+
+def make_baselines(
+    baselines: Sequence[Baseline],
+    out: Path,
+    store: Path,
+    progress: Progress,
+    *,
+    sets: tuple[str, ...] = (),
+    workers: int | None = None,
+    keep_flights: bool = False,
+) -> Iterator[Path]:
+    """Plan, check and store baselines; parts that are judged are kept.
+
+    Args:
+        baselines: what to make.
+        out: folder of the work, new or of an earlier call.
+        store: folder of the results, ``BASELINE.json``.
+        progress: receives the progress.
+        sets: sets or parts of their names; all that each can plan if left out.
+        workers: planning processes, for planners of the host.
+        keep_flights: keep the trajectories, for films.
+
+    Yields:
+        Each stored result, once with every part that was made.
+
+    Raises:
+        ConfigError: a folder holds something else.
+        KeyboardInterrupt: a check was interrupted.
+        RunError: the disk gave out.
+    """
+    benchmark, manifest = problem_sets.load_benchmark(), problem_files.public_manifest()
+    for baseline in baselines:
+        entries = [
+            entry
+            for entry in problem_sets.select_problem_sets(benchmark, sets)
+            if _can_enter(baseline, benchmark, entry, manifest)
+        ]
+        parts = {
+            entry.robots: [e for e in entries if e.robots == entry.robots] for entry in entries
+        }
+        for number, (robots, part) in enumerate(parts.items()):
+            team = "1 robot" if robots == 1 else f"{robots} robots"
+            progress.report(f"{baseline.name}, part {number + 1} of {len(parts)}: {team}")
+            folder = out / baseline.name / f"{robots:02d}"
+            if not checking.is_complete(folder / "check"):
+                _make_part(baseline, part, folder, progress, manifest, workers, keep_flights)
+            yield _store_result(baseline, out, store)
+
+
+def _can_enter(
+    baseline: Baseline, benchmark: FrozenBenchmark, entry: ProblemSet, manifest: ProblemManifest
+) -> bool:
+    """Whether a planner accepts the problems of a set at any level; policies accept all."""
+    if baseline.in_flight:
+        return True
+    attempt = manifest.find(entry.name).attempt
+    scenario = problem_files.build_set_scenario(benchmark, entry, attempt, problem_sets.PUBLIC)
+    try:
+        checking.build_planned_scenario(scenario, {"name": baseline.name}, "baselines")
+    except ConfigError:
+        return False
+    return True
+
+
+def _make_part(
+    baseline: Baseline,
+    part: Sequence[ProblemSet],
+    folder: Path,
+    progress: Progress,
+    manifest: ProblemManifest,
+    workers: int | None,
+    keep_flights: bool,
+) -> None:
+    names = tuple(entry.name for entry in part)
+    source, check = folder / "submission", folder / "check"
+    if baseline.in_flight:
+        source.mkdir(parents=True, exist_ok=True)
+        write_text(source / submission.CARD, _format_card(baseline, names))
+    else:
+        entering.plan_submission(
+            source,
+            {"name": baseline.name},
+            progress,
+            manifest=manifest,
+            name=baseline.name,
+            sets=names,
+            workers=workers,
+        )
+    is_begun = output_lock.partial_path(check).exists()
+    if not checking.check_submission(
+        source,
+        check,
+        progress,
+        manifest=manifest,
+        resume=is_begun,
+        keep_flights=keep_flights,
+    ):
+        raise KeyboardInterrupt
+
+
+def _format_card(baseline: Baseline, sets: Sequence[str]) -> str:
+    benchmark = problem_sets.load_benchmark()
+    lines = [
+        "schema_version = 1",
+        f"benchmark = {json.dumps(benchmark.title)}",
+        f"name = {json.dumps(baseline.name)}",
+        f"description = {json.dumps(f'{baseline.name} of this package, in flight')}",
+        'kind = "in_flight"',
+        f"sets = {json.dumps(list(sets))}",
+        "",
+        "[in_flight]",
+    ]
+    for part, table in baseline.in_flight.items():
+        keys = ", ".join(f"{key} = {json.dumps(value)}" for key, value in table.items())
+        lines.append(f"{part} = {{ {keys} }}")
+    return "\n".join(lines) + "\n"
+
+
+def _store_result(baseline: Baseline, out: Path, store: Path) -> Path:
+    """Merge the judged parts of a baseline into one result."""
+    paths = sorted((out / baseline.name).glob(f"*/check/{checking.RESULT}"))
+    path = store / f"{baseline.name}.json"
+    store.mkdir(parents=True, exist_ok=True)
+    write_json(path, merge_results([checking.read_result(part) for part in paths], baseline.name))
+    return path
+
+
+def merge_results(parts: Sequence[Mapping[str, Any]], name: str) -> dict[str, Any]:
+    """Return one result of the results of parts of the sets.
+
+    Args:
+        parts: results of different sets, by one planner.
+        name: of the planner, for messages.
+
+    Raises:
+        ConfigError: they are of other problems, or were flown by different physics.
+    """
+    first = parts[0]
+    for key in ("benchmark", "problems_sha256", "hidden", "physics"):
+        if any(part[key] != first[key] for part in parts):
+            raise ConfigError(
+                f"{name}: its parts have different {key}; remove those of the older version"
+            )
+    factors = [part["planned_on"]["factor"] for part in parts]
+    return {
+        **first,
+        "card": {**first["card"], "sets": [name for part in parts for name in part["entered"]]},
+        "entered": [name for part in parts for name in part["entered"]],
+        "planned_on": {**first["planned_on"], "factor": max(factors)},
+        "scores": [score for part in parts for score in part["scores"]],
+    }

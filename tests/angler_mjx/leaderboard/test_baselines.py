@@ -1,0 +1,135 @@
+"""Baselines made part by part, interrupted and continued; films of their flights."""
+
+import json
+
+import pytest
+
+from angler_mjx.cli.main import main
+from angler_mjx.errors import ConfigError
+from angler_mjx.leaderboard import baselines, checking, entering, films, problem_sets
+from angler_mjx.planning import register
+from angler_mjx.progress import Progress
+
+from .test_scores import result, row
+
+
+def test_every_planner_for_teams_is_a_baseline():
+    names = [baseline.name for baseline in baselines.BASELINES]
+    assert len(set(names)) == len(names) == 18
+    # What robots carry together and checkpoints are not asked for here.
+    installed = set(register.planner_names())
+    assert set(names) - {"mppi"} == installed - {"carry", "carry_ompl", "learned"}
+
+
+def test_an_unknown_baseline_is_refused():
+    with pytest.raises(ConfigError, match="--only 'nobody': no such baseline; there is priority"):
+        baselines.select_baselines(["nobody"])
+
+
+def part(name, *sets, **more):
+    rows = [row(entry, int(entry[-2:])) for entry in sets]
+    table = result(name, rows=rows, planned_on={"machine": "A Core", "factor": 1.0})
+    return table | {"entered": list(sets)} | more
+
+
+def test_parts_are_merged_in_their_order():
+    parts = [
+        part("a", "open-still-known-01", "reef-still-known-01"),
+        part("a", "open-still-known-02", planned_on={"machine": "A Core", "factor": 1.2}),
+    ]
+    merged = baselines.merge_results(parts, "a")
+    every = ["open-still-known-01", "reef-still-known-01", "open-still-known-02"]
+    assert merged["entered"] == merged["card"]["sets"] == every
+    assert [score["set"] for score in merged["scores"]] == every
+    assert merged["planned_on"]["factor"] == 1.2
+
+
+def test_parts_of_different_physics_are_not_merged():
+    parts = [
+        part("a", "open-still-known-01"),
+        part("a", "open-still-known-02", physics={"angler-mjx": "0.3.0", "commit": None}),
+    ]
+    with pytest.raises(ConfigError, match="a: its parts have different physics"):
+        baselines.merge_results(parts, "a")
+
+
+@pytest.fixture
+def judged(monkeypatch):
+    """Planning and checking that take no time; the second check is interrupted once."""
+    calls = []
+
+    def plan_submission(out, planner, progress, *, manifest, name, sets, workers):
+        calls.append(("plan", name, sets))
+
+    def check_submission(source, out, progress, *, manifest, resume, keep_flights):
+        calls.append(("check", out.parent.name, resume))
+        if calls.count(("check", "02", False)) == 1 and not resume and out.parent.name == "02":
+            (out.parent / f".{out.name}.partial").mkdir(parents=True)
+            return False
+        robots = out.parent.name
+        out.mkdir(parents=True)
+        names = [f"open-still-known-{robots}"]
+        (out / "result.json").write_text(json.dumps(part(out.parent.parent.name, *names)))
+        return True
+
+    monkeypatch.setattr(entering, "plan_submission", plan_submission)
+    monkeypatch.setattr(checking, "check_submission", check_submission)
+    return calls
+
+
+def test_an_interrupted_baseline_goes_on_where_it_was(judged, tmp_path):
+    chosen = baselines.select_baselines(["priority"])
+    arguments = (chosen, tmp_path / "work", tmp_path / "store", Progress())
+    sets = ("open-still-01", "open-still-02")
+    making = baselines.make_baselines(*arguments, sets=sets)
+    path = next(making)
+    assert path == tmp_path / "store/priority.json"
+    assert json.loads(path.read_text())["entered"] == ["open-still-known-01"]
+    with pytest.raises(KeyboardInterrupt):
+        next(making)
+    judged.clear()
+    for _ in baselines.make_baselines(*arguments, sets=sets):
+        pass
+    assert judged == [("plan", "priority", ("open-still-known-02",)), ("check", "02", True)]
+    entered = json.loads(path.read_text())["entered"]
+    assert entered == ["open-still-known-01", "open-still-known-02"]
+
+
+def test_a_policy_enters_by_a_card_in_flight(judged, tmp_path):
+    chosen = baselines.select_baselines(["mppi"])
+    list(
+        baselines.make_baselines(
+            chosen, tmp_path / "work", tmp_path / "store", Progress(), sets=("open-still-01",)
+        )
+    )
+    card = baselines.submission.read_card(tmp_path / "work/mppi/01/submission")
+    assert (card.kind, card.in_flight.policy) == ("in_flight", {"name": "mppi"})
+    assert judged == [("check", "01", False)]
+    benchmark = problem_sets.load_benchmark()
+    assert card.benchmark == benchmark.title
+
+
+def test_films_show_the_best_of_the_largest_team_and_the_worst():
+    rows = [
+        row("open-still-known-01", 1, makespan_s=51.0),
+        row("open-still-known-08", 8, makespan_s=70.0),
+        row("reef-still-known-08", 8, makespan_s=60.0),
+        row("dense-still-known-08", 8, solved=False, makespan_s=None, arrived=7),
+        row("dense-still-known-04", 4, solved=False, makespan_s=None, arrived=1),
+    ]
+    chosen = films.choose_flights(rows)
+    assert {label: found["set"] for label, found in chosen.items()} == {
+        "best": "reef-still-known-08",
+        "worst": "dense-still-known-04",
+    }
+    chosen = films.choose_flights(rows[:3])
+    assert chosen["worst"]["set"] == "open-still-known-08"
+    assert set(films.choose_flights(rows[:1])) == {"best"}
+    assert set(films.choose_flights(rows[4:])) == {"worst"}
+
+
+def test_a_check_without_flights_cannot_be_filmed(tmp_path, capsys):
+    (tmp_path / "result.json").write_text(json.dumps(part("a", "open-still-known-01")))
+    with pytest.raises(SystemExit):
+        main(["leaderboard", "films", str(tmp_path), "--out", str(tmp_path / "films")])
+    assert "--keep-flights keeps them" in capsys.readouterr().err
