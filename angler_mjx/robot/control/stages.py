@@ -28,6 +28,7 @@ from angler_mjx.robot.control.laws import (
     cargo_wrench,
     computed_torque,
     follow,
+    glide,
     grip_moment,
     guided,
     ismc,
@@ -64,6 +65,7 @@ def _of_law(
     grip: bool = False,
     sway: bool = False,
     fins: bool = False,
+    glides: bool = False,
     progress: Callable[..., jax.Array] | None = None,
 ) -> Stage:
     """A stage of a law that knows its vehicle and the water."""
@@ -105,6 +107,7 @@ def _of_law(
         wants_grip=grip,
         wants_sway=sway,
         flies_by_fins=fins,
+        glides=glides,
         progress=progress,
     )
 
@@ -248,6 +251,15 @@ _ALL = (
         grip=True,
     ),
     _of_law("los", los, los.LosGains, (Trajectory,), BodyTwist, fins=True, progress=los.progress_s),
+    _of_law(
+        "glide",
+        glide,
+        glide.GlideGains,
+        (Trajectory,),
+        ThrusterPwm,
+        glides=True,
+        progress=glide.progress_s,
+    ),
     Stage(
         name="pose",
         takes=_POSES,
@@ -352,6 +364,7 @@ CONTROLLERS: dict[str, tuple[str, ...]] = {
     "cascade": ("follow", "pose", "velocity", "pseudo_inverse"),
     "pid": ("follow", "pid_pose", "pid_velocity", "pseudo_inverse"),
     "los": ("los", "velocity", "pseudo_inverse"),
+    "glide": ("glide",),
     "tracking": ("reference", "tracking", "pseudo_inverse"),
     "computed_torque": ("reference", "computed_torque", "pseudo_inverse"),
     "ismc": ("follow", "pose", "ismc", "pseudo_inverse"),
@@ -409,6 +422,7 @@ def _user_stage(law_class: type) -> Stage:
         wants_grip=getattr(law, "wants_grip", False),
         wants_sway=getattr(law, "wants_sway", False),
         flies_by_fins=getattr(law, "flies_by_fins", False),
+        glides=getattr(law, "glides", False),
         progress=getattr(law, "progress", None),
     )
 
