@@ -8,13 +8,17 @@ the glide and m z_b the static moment of the hull, the moving mass makes the mom
     h_x = -m z_b (tan theta_d + k_p (theta_d - theta) + y),   y' = k_i (theta_d - theta)
 
 kg m ahead of the middle. The course is that of line of sight on the path seen from above (Fossen
-2021, section 12.4). A mass to the side rolls the hull; weight then pulls it aside, and its moment of
-slip turns it: with N_b = N_uv - (Y_A - X_A) of lift of the hull and of the Munk moment, to the side
-of N_b while it sinks, and to the other while it rises::
+2021, section 12.4). A mass to the left lowers the left side, where weight pulls the hull while it
+sinks, at v > 0. Weight and buoyancy have no moment about the vertical: in a steady turn about it
+those of the slip v and of damping balance, so that the sense of the turn is that of::
 
-    h_y = h_max sign(N_b) (-tanh(z' / V_z)) (k_c (chi_d - chi))
+    b = (K_uv sin theta_d + N_b cos theta_d) sign(v),   N_b = N_uv - (Y_A - X_A)
 
-Fins are left out of N_b. A last way-point that was missed is met again as by `los`.
+with the lift of the hull and the Munk moment in N_b, and sign(v) = -sign(theta_d). Then::
+
+    h_y = h_max sign(b) k_c (chi_d - chi)
+
+Fins are left out of b. A last way-point that was missed is met again as by `los`.
 """
 
 from dataclasses import dataclass
@@ -34,8 +38,6 @@ from angler_mjx.robot.vehicles.fins import HALF_RANGE_US, NEUTRAL_US
 from angler_mjx.robot.vehicles.params import VehicleParams
 
 _UV = PRODUCT_PAIRS.index((0, 1))
-_VERTICAL_MPS = 0.03
-"""V_z: vertical speed at which the sense of a turn is certain."""
 _MOVES_MPS = 0.1
 """Horizontally slower than this, the bow counts in place of the course."""
 _INTEGRAL_LIMIT = 0.5
@@ -159,7 +161,7 @@ def step(
         moves, _bearing(velocity[0], velocity[1]), _bearing(ahead[0], ahead[1])
     )
     turn = jnp.clip(gains.course_per_rad * wrap_angle(wanted - course), -1.0, 1.0)
-    turn = turn * jnp.sign(_slip_moment(vehicle)) * -jnp.tanh(velocity[2] / _VERTICAL_MPS)
+    turn = turn * _turn_sense(vehicle, half)
     return (
         GlideCarry(segment=k, sinks=sinks, integral=integral),
         _to_signals(vehicle, jnp.where(sinks, 1.0, -1.0), forward_kgm, turn),
@@ -201,11 +203,15 @@ def _bearing(x: jax.Array, y: jax.Array) -> jax.Array:
     return jnp.arctan2(y, jnp.where(is_none, 1.0, x))
 
 
-def _slip_moment(vehicle: VehicleParams) -> jax.Array:
-    """Return N_b [] kg: moment about z per speed ahead and speed to the left."""
-    munk = vehicle.M_A[0, 0] - vehicle.M_A[1, 1]
-    cross = vehicle.cross_damping
-    return munk if cross is None else munk + cross.products[5, _UV]
+def _turn_sense(vehicle: VehicleParams, pitch: jax.Array) -> jax.Array:
+    """Return [] 1 where a mass to the left turns a vehicle at a pitch [] to the left, or -1."""
+    yaw = vehicle.M_A[0, 0] - vehicle.M_A[1, 1]
+    roll = jnp.zeros_like(yaw)
+    if vehicle.cross_damping is not None:
+        products = vehicle.cross_damping.products
+        yaw, roll = yaw + products[5, _UV], products[3, _UV]
+    moment = roll * jnp.sin(pitch) + yaw * jnp.cos(pitch)
+    return jnp.where(moment * pitch > 0.0, -1.0, 1.0)
 
 
 def _to_signals(
