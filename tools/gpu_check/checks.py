@@ -126,6 +126,7 @@ def _flight_checks() -> list[GpuCheck]:
         _flight_check("heterogeneous", "heterogeneous", set(), **brief),
         _flight_check("open_water_current", "open_water_current", set(), **brief),
         _flight_check("bay_torpedoes", "bay_torpedoes", set(), **brief),
+        _flight_check("shelf_gliders", "shelf_gliders", set(), **glides),
         _flight_check("work_class", "work_class", set(), **brief),
         _flight_check("harbour_surface", "harbour_surface", set(), **brief),
         _flight_check("reef_arms", "reef_arms", {"policy:reach"}, engine="mjx", **brief),

@@ -174,6 +174,8 @@ class KernelGroup(KernelProgram):
     @property
     def actuators(self) -> jax.Array | None:
         """See `step.DecideInput`."""
+        if self.params.vehicle.trim is None:
+            return None
         vehicle: VehicleState = self.read_slot("vehicle")
         return step.select_actuators(self.params, vehicle)
 
