@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Annotated, ClassVar, Self
 
-import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from angler_mjx.errors import ConfigError, format_value
@@ -14,7 +13,7 @@ from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.abilities import compute_abilities
 from angler_mjx.robot.vehicles.drive import Drive, require_flyable
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
-from angler_mjx.robot.vehicles.thrust_curves import build_thrust_tables, thrust_ends
+from angler_mjx.robot.vehicles.thrust_curves import build_thrust_tables
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.sim.fleet import Member, Variant

@@ -32,8 +32,8 @@ DRIVERS = (
     ("paths", "ardusub"),
 )
 """In turn: random signals of thrusters, or a controller on planned paths. That of arms is the
-cascade of the rigid vehicles here, and that of gliders flies no vehicle with thrust."""
-assert {name for _, name in DRIVERS} == set(CONTROLLERS) - {"arm", "glide"}
+cascade of the rigid vehicles here."""
+assert {name for _, name in DRIVERS} == set(CONTROLLERS) - {"arm"}
 
 CURRENTS = ("uniform", "gauss_markov", "vortices", "depth_profile", "tide")
 

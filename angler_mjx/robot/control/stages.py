@@ -364,7 +364,6 @@ CONTROLLERS: dict[str, tuple[str, ...]] = {
     "cascade": ("follow", "pose", "velocity", "pseudo_inverse"),
     "pid": ("follow", "pid_pose", "pid_velocity", "pseudo_inverse"),
     "los": ("los", "velocity", "pseudo_inverse"),
-    "glide": ("glide",),
     "tracking": ("reference", "tracking", "pseudo_inverse"),
     "computed_torque": ("reference", "computed_torque", "pseudo_inverse"),
     "ismc": ("follow", "pose", "ismc", "pseudo_inverse"),
@@ -372,9 +371,18 @@ CONTROLLERS: dict[str, tuple[str, ...]] = {
     "arm": ("follow", "pose", "whole_body", "velocity", "link_wrench", "pseudo_inverse"),
     "ardusub": ("follow", "ardusub"),
 }
-"""The stages of each stack that has a name; all take a planner's `Trajectory`. The laws that feed a
+"""The stages of each stack that has a name and flies by thrust; all take a planner's `Trajectory`. The laws that feed a
 current forward (tracking, computed_torque) are told it; those that reject what they do not know
 (ismc, aitsm, and all with an integral alone) are not."""
+
+
+GLIDER_CONTROLLERS: dict[str, tuple[str, ...]] = {"glide": ("glide",)}
+"""The stages of each stack that has a name and flies vehicles without thrust."""
+
+
+def named_stacks() -> dict[str, tuple[str, ...]]:
+    """Return the stages of each stack that has a name."""
+    return {**CONTROLLERS, **GLIDER_CONTROLLERS}
 
 
 def find_stage(name: str) -> Stage:
@@ -442,13 +450,13 @@ def _register_gains(name: str, gains: type) -> type:
 
 def find_controller(controller: str) -> Stages:
     """The stages of a stack that has a name."""
-    return tuple(STAGES[name] for name in CONTROLLERS[controller])
+    return tuple(STAGES[name] for name in named_stacks()[controller])
 
 
 def describe_stages(stages: Stages) -> str:
     """A stack in words: its name, or its stages."""
     names = tuple(stage.name for stage in stages)
-    for name, members in CONTROLLERS.items():
+    for name, members in named_stacks().items():
         if members == names:
             return f"controller {name!r}"
     return f"the controller of stages {_quote_names(names)}"

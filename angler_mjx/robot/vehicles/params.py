@@ -13,13 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from angler_mjx.robot.vehicles.abilities import compute_abilities
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.damping import (
     CrossDamping,
     build_cross_damping,
     pad_cross_damping,
 )
-from angler_mjx.robot.vehicles.abilities import compute_abilities
 from angler_mjx.robot.vehicles.drive import wrench_matrix
 from angler_mjx.robot.vehicles.fins import FinParams, build_fins, pad_fins
 from angler_mjx.robot.vehicles.link_hull import (

@@ -168,4 +168,3 @@ def trim_power_w(trim: TrimParams, states: jax.Array, settled: jax.Array) -> jax
     values = states if states.ndim == 1 else states[0]
     speed = jnp.minimum(jnp.abs(settled - values) / (trim.tau_s * trim.rate), 1.0)
     return jnp.sum(jnp.where(trim.is_trim, trim.power_w * speed, 0.0))
-

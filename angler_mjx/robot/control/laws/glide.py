@@ -157,9 +157,7 @@ def step(
     wanted = _wanted_course(gains, offset, along, tangent, length, last, ahead)
     velocity = quaternion.rotate(estimate.q, estimate.nu[:3])
     moves = velocity[0] ** 2 + velocity[1] ** 2 > _MOVES_MPS**2
-    course = jnp.where(
-        moves, _bearing(velocity[0], velocity[1]), _bearing(ahead[0], ahead[1])
-    )
+    course = jnp.where(moves, _bearing(velocity[0], velocity[1]), _bearing(ahead[0], ahead[1]))
     turn = jnp.clip(gains.course_per_rad * wrap_angle(wanted - course), -1.0, 1.0)
     turn = turn * _turn_sense(vehicle, half)
     return (
