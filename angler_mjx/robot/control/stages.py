@@ -371,9 +371,9 @@ CONTROLLERS: dict[str, tuple[str, ...]] = {
     "arm": ("follow", "pose", "whole_body", "velocity", "link_wrench", "pseudo_inverse"),
     "ardusub": ("follow", "ardusub"),
 }
-"""The stages of each stack that has a name and flies by thrust; all take a planner's `Trajectory`. The laws that feed a
-current forward (tracking, computed_torque) are told it; those that reject what they do not know
-(ismc, aitsm, and all with an integral alone) are not."""
+"""The stages of each stack that has a name and flies by thrust; all take a planner's `Trajectory`.
+The laws that feed a current forward (tracking, computed_torque) are told it; those that reject what
+they do not know (ismc, aitsm, and all with an integral alone) are not."""
 
 
 GLIDER_CONTROLLERS: dict[str, tuple[str, ...]] = {"glide": ("glide",)}

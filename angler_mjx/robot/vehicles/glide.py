@@ -6,8 +6,8 @@ velocity (u, 0, w) through still water, in F, balances::
     X(u, w) = W sin theta,   Z(u, w) = W cos theta
 
 with X and Z of the damping; the moments about y then say where along its axis the mass is. Such
-glides are the equilibria of Graver (PhD thesis, Princeton 2005, chapter 5) and of Leonard and Graver
-(IEEE J. Oceanic Eng. 26(4), 2001). Fins are left out (host side).
+glides are the equilibria of Graver (PhD thesis, Princeton 2005, chapter 5) and of Leonard and
+Graver (IEEE J. Oceanic Eng. 26(4), 2001). Fins are left out (host side).
 """
 
 from dataclasses import dataclass

@@ -262,7 +262,7 @@ def _spread_tables(tables: jax.Array, n_t: int) -> Any:
 
 
 def _build_rotor(config: VehicleConfig, response: RotorResponse | None) -> RotorFilter | None:
-    third_order = config.rotor and config.rotor.third_order
+    third_order = None if config.rotor is None else config.rotor.third_order
     if config.find_response(response) == "first_order" or third_order is None:
         return None
     lead, *a = third_order.denominator

@@ -16,6 +16,7 @@ import numpy as np
 from angler_kernels import moved_mass
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.fins import HALF_RANGE_US, NEUTRAL_US
+from angler_mjx.robot.vehicles.trim_config import MovingMass, Tank
 
 
 @jax.tree_util.register_dataclass
@@ -53,19 +54,20 @@ def build_trim(config: VehicleConfig) -> TrimParams | None:
     if not tanks and not masses:
         return None
     n, n_tank = len(tanks) + len(masses), len(tanks)
+    items: tuple[Tank | MovingMass, ...] = (*tanks, *masses)
     center = np.asarray(config.base.center_of_mass_m)
     axis = np.zeros((n, 3))
     axis[n_tank:] = np.array([mass.axis for mass in masses]).reshape(-1, 3)
     columns: dict[str, np.ndarray] = {
         "is_trim": np.ones(n, bool),
-        "position_m": np.array([item.position_m for item in (*tanks, *masses)]) - center,
+        "position_m": np.array([item.position_m for item in items]) - center,
         "axis": axis,
         "mass_kg": np.array([0.0] * n_tank + [mass.mass_kg for mass in masses]),
         "takes_water": np.array([1.0] * n_tank + [0.0] * len(masses)),
         "limit": np.array([t.limit_m3 for t in tanks] + [mass.limit_m for mass in masses]),
         "rate": np.array([t.rate_m3ps for t in tanks] + [mass.rate_mps for mass in masses]),
-        "tau_s": np.array([item.time_constant_s for item in (*tanks, *masses)]),
-        "power_w": np.array([item.power_w for item in (*tanks, *masses)]),
+        "tau_s": np.array([item.time_constant_s for item in items]),
+        "power_w": np.array([item.power_w for item in items]),
     }
     dtype = jnp.result_type(float)
     made = TrimParams(

@@ -51,15 +51,15 @@ def test_a_line_is_held_by_a_sawtooth(flown):
     group = zarr.open_group(flown / "trajectories.zarr", mode="r")
     names = [name for name, _ in group.arrays()]
     (p_name,) = [name for name in names if name.endswith("p_m") and "obstacle" not in name]
-    p = np.asarray(group[p_name])[0, : int(5 * row["end_time_s"]), 0]
+    p = np.asarray(group[p_name])[0, : int(5 * row["time_to_goal_s"]), 0]
     line = (GOAL - START)[:2] / np.linalg.norm((GOAL - START)[:2])
     across = (p[:, :2] - START[:2]) @ [-line[1], line[0]]
     assert np.abs(across).max() < 0.5
-    # Down first, and up and down again, over the band and the way of the pump.
+    # Down first, and up and down again, over the band, which narrows at the end.
     turns = np.flatnonzero(np.diff(np.sign(np.diff(p[::5, 2]))))
     assert len(turns) >= 3
-    assert np.ptp(p[:, 2]) > 2 * 8.0
-    assert np.abs(p[:, 2] - START[2]).max() < 8.0 + 8.0
+    assert np.ptp(p[:, 2]) > 1.5 * 8.0
+    assert np.abs(p[:, 2] - START[2]).max() < 8.0 + 2.0
     # A steady glide goes over ground at 0.4 to 0.5 m/s; a litre at 40 W and 40 ml/s is a stroke.
     ahead = np.linalg.norm(p[-1, :2] - p[200, :2]) / (0.2 * (len(p) - 201))
     assert 0.3 < ahead < 0.55

@@ -1,9 +1,9 @@
 """Gliding along a path: a sawtooth in depth by ballast and pitch, and line of sight by roll.
 
 A glider sinks with its tanks full and its bow down, rises with them empty and its bow up, and
-changes over a band above and below the path (Graver, PhD thesis, Princeton 2005, chapter 1). Towards
-the last way-point the band narrows, so that the path ends at its depth. With theta_d the pitch of
-the glide and m z_b the static moment of the hull, the moving mass makes the moment::
+changes over at a band above and below the path (Graver, PhD thesis, Princeton 2005, chapter 1).
+Towards the last way-point the band narrows, so that it is passed at its depth. With theta_d the
+pitch of the glide and m z_b the static moment of the hull, the moving mass makes the moment::
 
     h_x = -m z_b (tan theta_d + k_p (theta_d - theta) + y),   y' = k_i (theta_d - theta)
 
@@ -52,8 +52,10 @@ class GlideGains:
     pitch_rad: float = 0.6
     """theta_d: bow down while sinking, up while rising."""
     band_m: float = 8.0
-    """Height above and depth below the path at which it changes over; it overshoots by some metres,
-    while the pump runs."""
+    """Height above and depth below the path that the sawtooth has."""
+    lead_s: float = 14.0
+    """Time ahead of the ends of the band at which it changes over: about half a stroke of the pump,
+    in which it goes on."""
     narrowing: float = 0.3
     """Greatest band as a fraction of the way to the last way-point."""
     min_band_m: float = 1.0
@@ -146,7 +148,10 @@ def step(
     offset = estimate.p - start
     along = jnp.sum(offset * tangent)
     end = start + length * tangent
-    sinks = _change_over(gains, carry.sinks, estimate.p, start + along * tangent, end)
+    velocity = quaternion.rotate(estimate.q, estimate.nu[:3])
+    height = estimate.p[2] + gains.lead_s * velocity[2]
+    left_m = jnp.sqrt(jnp.sum((end - estimate.p)[:2] ** 2))
+    sinks = _change_over(gains, carry.sinks, height, start[2] + along * tangent[2], left_m)
     half = jnp.where(sinks, -gains.pitch_rad, gains.pitch_rad)
     ahead = quaternion.rotate(estimate.q, jnp.array([1.0, 0.0, 0.0], estimate.p.dtype))
     error = half - jnp.arcsin(jnp.clip(ahead[2], -1.0, 1.0))
@@ -155,7 +160,6 @@ def step(
     righting = vehicle.mass_kg * vehicle.p_cb_m[2]
     forward_kgm = -righting * (jnp.tan(half) + gains.pitch_gain * error + integral)
     wanted = _wanted_course(gains, offset, along, tangent, length, last, ahead)
-    velocity = quaternion.rotate(estimate.q, estimate.nu[:3])
     moves = velocity[0] ** 2 + velocity[1] ** 2 > _MOVES_MPS**2
     course = jnp.where(moves, _bearing(velocity[0], velocity[1]), _bearing(ahead[0], ahead[1]))
     turn = jnp.clip(gains.course_per_rad * wrap_angle(wanted - course), -1.0, 1.0)
@@ -167,14 +171,24 @@ def step(
 
 
 def _change_over(
-    gains: GlideGains, sinks: jax.Array, p: jax.Array, path_m: jax.Array, end: jax.Array
+    gains: GlideGains,
+    sinks: jax.Array,
+    height_m: jax.Array,
+    path_m: jax.Array,
+    left_m: jax.Array,
 ) -> jax.Array:
-    """Return whether a robot at p [3] is to sink, by the nearest point of its path [3]."""
-    level = jnp.array([1.0, 1.0, 0.0], p.dtype)
-    left_m = jnp.sqrt(jnp.sum(((end - p) * level) ** 2))
+    """Return whether a robot is to sink.
+
+    Args:
+        gains: of gliding.
+        sinks: bool [] whether it was to.
+        height_m: [] of it, soon, in W.
+        path_m: [] of the nearest point of its path, in W.
+        left_m: [] way to the last way-point, seen from above.
+    """
     band = jnp.clip(gains.narrowing * left_m, gains.min_band_m, gains.band_m)
-    top = jnp.minimum(path_m[2] + band, -gains.surface_m)
-    return jnp.where(sinks, p[2] > path_m[2] - band, p[2] > top)
+    top = jnp.minimum(path_m + band, -gains.surface_m)
+    return jnp.where(sinks, height_m > path_m - band, height_m > top)
 
 
 def _wanted_course(
