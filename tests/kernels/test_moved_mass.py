@@ -14,6 +14,13 @@ DENSITY, CARRIED = 1025.0, 7.0
 VALUES = np.array([3e-3, 0.2])
 
 
+@pytest.fixture(scope="module", autouse=True)
+def x64():
+    """Numbers are of 64 bits."""
+    with jax.enable_x64(True):
+        yield
+
+
 @pytest.fixture(scope="module")
 def change(x64):
     return moved_mass.mass_change(
@@ -76,7 +83,7 @@ def test_wrench_is_weight_and_the_change_of_momentum_in_a_turning_frame(change):
     np.testing.assert_allclose(wrench, weight - rate, rtol=1e-6, atol=1e-6)
 
 
-def test_nothing_moved_changes_nothing(x64):
+def test_nothing_moved_changes_nothing():
     zero = jnp.zeros(2)
     dm, h, dI = moved_mass.mass_change(
         position=jnp.asarray([TANK, AT]),

@@ -53,7 +53,7 @@ class GlideGains:
     """theta_d: bow down while sinking, up while rising."""
     band_m: float = 8.0
     """Height above and depth below the path that the sawtooth has."""
-    lead_s: float = 14.0
+    lead_s: float = 10.0
     """Time ahead of the ends of the band at which it changes over: about half a stroke of the pump,
     in which it goes on."""
     narrowing: float = 0.3

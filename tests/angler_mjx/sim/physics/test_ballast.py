@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
@@ -268,6 +269,35 @@ def test_energy_without_drag_is_that_of_the_whole_mass(glider):
         drift.append(abs(after - before))
     assert drift[1] < 1e-3 * moving
     assert drift[0] / drift[1] > 3.0
+
+
+def test_the_reaction_to_a_moving_battery_is_within_its_bound(glider):
+    """Against the motion ahead with both bodies, held level: M u' = -X(u) - m s''.
+
+    Left out here; the bound of the speed is m r / M, of the way m s / M.
+    """
+    rate, lag, stop = 0.004, 0.5, 0.04
+    total, drag = 65.28 + 1.48, 7.19
+
+    def acceleration(t):
+        until = stop / rate - lag
+        return 0.0 if t < until else -rate / lag * np.exp(-(t - until) / lag)
+
+    # The start is a blow: from rest to the fastest rate.
+    exact = solve_ivp(
+        lambda t, x: [x[1], -(drag * abs(x[1]) * x[1] + BATTERY_KG * acceleration(t)) / total],
+        (0.0, 20.0),
+        [0.0, -BATTERY_KG * rate / total],
+        max_step=0.02,
+        rtol=1e-8,
+        atol=1e-10,
+    )
+    held = replace(glider, D_l=jnp.full(6, 1e8).at[0].set(0.0), cross_damping=None)
+    ours = swim(held, [0.0, stop, 0.0], 20.0)
+    assert float(ours.thrust[1]) == pytest.approx(stop, rel=1e-6)
+    assert np.abs(exact.y[1] - float(ours.nu[0])).max() <= 1.001 * BATTERY_KG * rate / total
+    way_m = abs(exact.y[0, -1] - float(ours.p[0]))
+    assert 0.9 * BATTERY_KG * stop / total < way_m <= 1.001 * BATTERY_KG * stop / total
 
 
 def test_engines_agree(glider):
