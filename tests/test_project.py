@@ -102,6 +102,7 @@ def test_scenarios_of_the_package_are_the_named_ones():
         "reef_debris",
         "reef_fleet",
         "reef_survey",
+        "shelf_gliders",
         "sitl_formation",
         "sitl_hold",
         "work_class",

@@ -65,7 +65,20 @@ def show_vehicle(
             f"{1e4 * fin.area_m2:.3g} cm2, lift slope {fin.lift_slope:.3g} 1/rad, up to "
             f"{math.degrees(fin.limit_rad):.3g} degrees",
         )
+    for tank in config.tanks:
+        numbers.add_row(
+            f"tank {tank.name}",
+            f"{1e3 * tank.limit_m3:.3g} l to either side, {1e3 * tank.rate_m3ps:.3g} l/s",
+        )
+    for mass in config.masses:
+        numbers.add_row(
+            f"moving mass {mass.name}",
+            f"{mass.mass_kg:.3g} kg, {1e3 * mass.limit_m:.3g} mm to either side, "
+            f"{1e3 * mass.rate_mps:.3g} mm/s",
+        )
     console.print(numbers)
+    if not config.thrusters.layout:
+        return
     wrench = Table(
         title="Force (N) and moment (N m) at the centre of mass per newton of each thruster; "
         "x forward, y left, z up",
@@ -257,9 +270,14 @@ def _format_properties(properties: "VehicleProperties") -> list[tuple[str, str]]
         ("natural roll period", _format_period(properties.roll_period_s)),
         ("natural pitch period", _format_period(properties.pitch_period_s)),
         ("trim at rest", _format_trim(properties.trim_rad)),
-        ("rotor time constant", f"{properties.rotor_time_constant_s:g} s"),
+        *_format_lag(properties.rotor_time_constant_s),
         *_format_gain(properties.damping_gain_w),
     ]
+
+
+def _format_lag(seconds: float | None) -> list[tuple[str, str]]:
+    """Return the row on the lag of rotors; none of a vehicle without them."""
+    return [] if seconds is None else [("rotor time constant", f"{seconds:g} s")]
 
 
 def _format_gain(power_w: float | None) -> list[tuple[str, str]]:

@@ -4,17 +4,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Annotated, ClassVar, Self
 
-import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import FileModel, absolute_path
 from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.robot.vehicles import library
-from angler_mjx.robot.vehicles.drive import Drive, compute_drive, require_flyable, wrench_matrix
-from angler_mjx.robot.vehicles.fins import steers_by_fins
+from angler_mjx.robot.vehicles.abilities import compute_abilities
+from angler_mjx.robot.vehicles.drive import Drive, require_flyable
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
-from angler_mjx.robot.vehicles.thrust_curves import build_thrust_tables, thrust_ends
+from angler_mjx.robot.vehicles.thrust_curves import build_thrust_tables
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.sim.fleet import Member, Variant
@@ -61,7 +60,9 @@ class FleetEntry(FileModel):
         """Return the vehicle with an absolute path; refuse a file with faults."""
         if name.endswith(".toml"):
             name = absolute_path(name, info)
-        library.load_thruster(library.load_vehicle(name).rotor.model)
+        rotor = library.load_vehicle(name).rotor
+        if rotor is not None:
+            library.load_thruster(rotor.model)
         return name
 
     @model_validator(mode="after")
@@ -113,20 +114,10 @@ class FleetEntry(FileModel):
             thrust_n, _ = build_thrust_tables(config, self.battery_v)
         except ConfigError as error:
             raise ConfigError(f"battery_v: {error}") from error
-        wrench = wrench_matrix(config)
-        limits = []
-        for name in self._parameter_weights(config.default_set):
-            damping = config.find_set(name).damping
-            limits.append(
-                compute_drive(
-                    wrench,
-                    *thrust_ends(thrust_n),
-                    np.asarray(damping.linear_diagonal[:3], float),
-                    np.asarray(damping.quadratic_diagonal[:3], float),
-                    steers_by_fins(config),
-                )
-            )
-        return limits
+        return [
+            compute_abilities(config, config.find_set(name), thrust_n)
+            for name in self._parameter_weights(config.default_set)
+        ]
 
     def state_source(self) -> tuple[instrumented.Source, SensorsConfig]:
         """Return the source of the controllers' state, and the instruments."""

@@ -216,6 +216,7 @@ class Scenario(FileModel):
         self._check_contact()
         table_checks.check_steering(self.controller, self.fleet)
         table_checks.check_fins(self.controller, self.fleet)
+        table_checks.check_gliders(self.controller, self.fleet)
         table_checks.check_planar(self.world, self.fleet, contacts=self.contacts)
         table_checks.check_grips(
             self.controller,
@@ -469,9 +470,10 @@ def _problem_table(entry: FleetEntry) -> JsonTable:
     """Return an entry of the fleet without flight-only keys, with its vehicle's current data."""
     table = entry.model_dump(mode="json", exclude={"estimate", "sensors", "fault_visible"})
     vehicle = library.load_vehicle(entry.vehicle)
-    thruster = library.load_thruster(vehicle.rotor.model)
-    vehicle_table = _vehicle_table(vehicle, entry.parameter_set_names())
-    return {**table, "vehicle": [vehicle_table, thruster.model_dump(mode="json")]}
+    files: list[JsonTable] = [_vehicle_table(vehicle, entry.parameter_set_names())]
+    if vehicle.rotor is not None:
+        files.append(library.load_thruster(vehicle.rotor.model).model_dump(mode="json"))
+    return {**table, "vehicle": files}
 
 
 def _vehicle_table(vehicle: VehicleConfig, used_sets: Sequence[str]) -> JsonTable:
@@ -480,7 +482,8 @@ def _vehicle_table(vehicle: VehicleConfig, used_sets: Sequence[str]) -> JsonTabl
     Left out are tables that it does not have, and sets with an uncertainty that are not used.
     """
     absent = () if vehicle.links else ("links", "joints", "end_effector")
-    absent = (*absent, *(key for key in ("fins", "planar") if not getattr(vehicle, key)))
+    optional = ("fins", "planar", "ballast", "moving_masses")
+    absent = (*absent, *(key for key in optional if not getattr(vehicle, key)))
     table: dict[str, Any] = vehicle.model_dump(mode="json", exclude={"parameter_sets", *absent})
     for row in table["thrusters"]["layout"]:
         if row["time_constant_s"] is None:

@@ -120,7 +120,7 @@ def check_rotors(fleet: Sequence[FleetEntry]) -> None:
     for i, entry in enumerate(fleet):
         config = library.load_vehicle(entry.vehicle)
         is_third_order = config.find_response(entry.rotor_response) == "third_order"
-        response = config.rotor.third_order if is_third_order else None
+        response = config.rotor.third_order if is_third_order and config.rotor else None
         coefficients = response and (response.numerator, response.denominator)
         first = first or (coefficients,)
         if coefficients != first[0]:
@@ -192,6 +192,25 @@ def check_fins(controller: ControllerConfig, fleet: Sequence[FleetEntry]) -> Non
                 f"controller: {controller.title!r} steers by thrust, and fleet[{i}], vehicle "
                 f"{library.load_vehicle(entry.vehicle).name!r}, turns and dives by its fins, with "
                 'way on; take controller.name = "los"'
+            )
+
+
+def check_gliders(controller: ControllerConfig, fleet: Sequence[FleetEntry]) -> None:
+    """Refuse controllers with thrust for gliders, and those of gliders for other vehicles."""
+    can_glide = any(stage.glides for stage in controller.stack()[0])
+    for i, entry in enumerate(fleet):
+        is_glider = all(drive.glides for drive in entry.drive_limits())
+        name = library.load_vehicle(entry.vehicle).name
+        if is_glider and not can_glide:
+            raise ValueError(
+                f"controller: {controller.title!r} needs thrust, and fleet[{i}], vehicle {name!r}, "
+                'has none: it glides by ballast and moving masses; take controller.name = "glide"'
+            )
+        if can_glide and not is_glider:
+            raise ValueError(
+                f"controller: {controller.title!r} flies vehicles without thrust, by ballast and "
+                f"moving masses, and fleet[{i}], vehicle {name!r}, is none of these; take another "
+                "controller, such as cascade or los"
             )
 
 

@@ -117,7 +117,7 @@ class ControllerConfig(FileModel):
     """A controller stack by name or by stages, with gains that differ from the defaults."""
 
     name: str | None = None
-    """Name of a stack, one of `angler_mjx.robot.control.stages.CONTROLLERS`; cascade if neither
+    """Name of a stack, one of `angler_mjx.robot.control.stages.named_stacks`; cascade if neither
     name nor stages is given."""
     stages: tuple[StageName, ...] | None = Field(default=None, min_length=1)
     """Stages from the highest to the lowest, instead of a name; FILE.py:CLASS for a control law of
@@ -157,9 +157,9 @@ class ControllerConfig(FileModel):
     def _check_stack(self) -> Self:
         if self.stages is not None and self.name is not None:
             raise ValueError("give name or stages, not both")
-        if self.name is not None and self.name not in stages.CONTROLLERS:
+        if self.name is not None and self.name not in stages.named_stacks():
             raise ValueError(
-                f"name = {format_value(self.name)}: there is {', '.join(stages.CONTROLLERS)}; "
+                f"name = {format_value(self.name)}: there is {', '.join(stages.named_stacks())}; "
                 "or give stages"
             )
         first = self.stack()[0][0]
@@ -187,7 +187,7 @@ class ControllerConfig(FileModel):
         Raises:
             ConfigError: the stages form no stack, or gains are not valid.
         """
-        names = self.stages or stages.CONTROLLERS[self.name or "cascade"]
+        names = self.stages or stages.named_stacks()[self.name or "cascade"]
         return stages.build_stack(names, self.gains)
 
 

@@ -21,6 +21,7 @@ from angler_mjx.robot.vehicles.link_motion import JointMotion
 from angler_mjx.robot.vehicles.link_params import LinkParams
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
+from angler_mjx.robot.vehicles.trim import settled_trim, trim_power_w
 from angler_mjx.sim.cargo import CargoError
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.impacts import Impacts
@@ -78,10 +79,19 @@ def run_controllers(
     return action.memory, action.target_m, action.command
 
 
-def thrust_and_power(vehicle: VehicleParams, pwm: ThrusterPwm) -> tuple[jax.Array, jax.Array]:
-    """Thrust [n_thruster] N that a signal settles at, and the power [] W of all thrusters.
+def thrust_and_power(
+    vehicle: VehicleParams, pwm: ThrusterPwm, actuators: jax.Array | None = None
+) -> tuple[jax.Array, jax.Array]:
+    """Return what signals settle at, and the power of all actuators.
 
-    Of fins the deflection, rad.
+    Args:
+        vehicle: of the robot.
+        pwm: signals [n_thruster].
+        actuators: of its `VehicleState`; without them pumps and moving masses take no power.
+
+    Returns:
+        [n_thruster] thrust, N, of fins the deflection, rad, of tanks the water beyond half full,
+        m^3, of moving masses the position, m; and power [] W.
     """
     rows = 0 if vehicle.thrust_n.ndim > 1 else None
     pick = jax.vmap(thruster.lookup, (rows, 0, None, None))
@@ -90,7 +100,13 @@ def thrust_and_power(vehicle: VehicleParams, pwm: ThrusterPwm) -> tuple[jax.Arra
         deflection = settled_deflection(vehicle.fins, pwm.pwm_us)
         thrust = jnp.where(vehicle.fins.is_fin, deflection, thrust)
     power = pick(vehicle.power_w, pwm.pwm_us, PWM_LOW_US, PWM_STEP_US)
-    return thrust, jnp.sum(jnp.where(vehicle.thruster_exists, power, 0.0))
+    total = jnp.sum(jnp.where(vehicle.thruster_exists, power, 0.0))
+    if vehicle.trim is not None:
+        settled = settled_trim(vehicle.trim, pwm.pwm_us)
+        thrust = jnp.where(vehicle.trim.is_trim, settled, thrust)
+        if actuators is not None:
+            total = total + trim_power_w(vehicle.trim, actuators, settled)
+    return thrust, total
 
 
 def thruster_wrench(vehicle: VehicleParams, outcome: jax.Array, thrust: jax.Array) -> jax.Array:

@@ -70,6 +70,9 @@ class DecideInput:
     """[J] motion of the joints; None where no robot has any."""
     grip: GripReading | None = None
     """Measured by the grips; None where robots hold nothing."""
+    actuators: jax.Array | None = None
+    """[n_thruster] present states, for the power of pumps and moving masses; None where no robot
+    has any."""
 
 
 @jax.tree_util.register_dataclass
@@ -178,6 +181,11 @@ def select_flow(
     return batch.flow(current(), estimate) if stack.wants_flow(batch.spec.stages) else None
 
 
+def select_actuators(params: ControlParams, vehicle: VehicleState) -> jax.Array | None:
+    """Return the states of actuators where some robot has ballast or moving masses, else None."""
+    return None if params.vehicle.trim is None else vehicle.thrust
+
+
 def decide_commands(batch: BodyBatch, inputs: DecideInput) -> PhaseResult[Decision]:
     """Run the controllers, and look up what the thrusters settle at."""
     memory, target, command = batch.map_bodies(
@@ -191,7 +199,9 @@ def decide_commands(batch: BodyBatch, inputs: DecideInput) -> PhaseResult[Decisi
         inputs.grip,
     )
     pwm = stack.require_signals(command)
-    thrust, power = batch.map_bodies(robot.thrust_and_power, inputs.params.vehicle, pwm)
+    thrust, power = batch.map_bodies(
+        robot.thrust_and_power, inputs.params.vehicle, pwm, inputs.actuators
+    )
     return PhaseResult(
         output=lambda: Decision(memory=memory, thrust_n=thrust, power_w=power),
         record=partial(record_decided, pwm.pwm_us, target),
@@ -384,6 +394,7 @@ def decide(
             command=command,
             joints=robots.vehicle.joints,
             grip=grip,
+            actuators=select_actuators(params, robots.vehicle),
         ),
     )
 

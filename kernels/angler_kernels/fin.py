@@ -84,10 +84,10 @@ def turn_fins(
     rate: jax.Array,
     dt: jax.Array | float,
 ) -> jax.Array:
-    """Turn fins for a step: a lag of first order with a limit of rate.
+    """Turn fins for a step, or move other servos: a lag of first order with a limit of rate.
 
     Args:
-        angle: [n] rad, at the beginning.
+        angle: [n] rad, at the beginning; of tanks m^3, of moving masses m.
         command: [n] rad, held over the step.
         time_constant: [n] s.
         rate: [n] rad/s.

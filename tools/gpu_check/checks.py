@@ -87,6 +87,7 @@ def _flight_checks() -> list[GpuCheck]:
     # The planner of cargo plans its own task alone, and before the start.
     planners = [name for name in built_in_device_planners() if name != "carry"]
     few = {"samples": 64}
+    glide_time = {**RECORDING, "horizon_s": 80.0, "physics_dt_s": 0.02, "control_dt_s": 0.1}
     nearest = {"task": {"allocation": "nearest"}}
     return [
         _flight_check("reef_fleet", "reef_fleet", cuda, **reef),
@@ -126,6 +127,7 @@ def _flight_checks() -> list[GpuCheck]:
         _flight_check("heterogeneous", "heterogeneous", set(), **brief),
         _flight_check("open_water_current", "open_water_current", set(), **brief),
         _flight_check("bay_torpedoes", "bay_torpedoes", set(), **brief),
+        _flight_check("shelf_gliders", "shelf_gliders", set(), worlds=8, time=glide_time),
         _flight_check("work_class", "work_class", set(), **brief),
         _flight_check("harbour_surface", "harbour_surface", set(), **brief),
         _flight_check("reef_arms", "reef_arms", {"policy:reach"}, engine="mjx", **brief),

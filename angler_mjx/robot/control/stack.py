@@ -131,6 +131,8 @@ class Stage:
     """Whether it cannot fly a vehicle that has no thrust to the side."""
     flies_by_fins: bool = False
     """Whether it can fly a vehicle without heave or yaw thrust, by its fins and with way on."""
+    glides: bool = False
+    """Whether it flies vehicles without thrust by ballast and moving masses, and no others."""
 
 
 type Stages = tuple[Stage, ...]

@@ -28,6 +28,7 @@ from angler_mjx.robot.control.laws import (
     cargo_wrench,
     computed_torque,
     follow,
+    glide,
     grip_moment,
     guided,
     ismc,
@@ -64,6 +65,7 @@ def _of_law(
     grip: bool = False,
     sway: bool = False,
     fins: bool = False,
+    glides: bool = False,
     progress: Callable[..., jax.Array] | None = None,
 ) -> Stage:
     """A stage of a law that knows its vehicle and the water."""
@@ -105,6 +107,7 @@ def _of_law(
         wants_grip=grip,
         wants_sway=sway,
         flies_by_fins=fins,
+        glides=glides,
         progress=progress,
     )
 
@@ -248,6 +251,15 @@ _ALL = (
         grip=True,
     ),
     _of_law("los", los, los.LosGains, (Trajectory,), BodyTwist, fins=True, progress=los.progress_s),
+    _of_law(
+        "glide",
+        glide,
+        glide.GlideGains,
+        (Trajectory,),
+        ThrusterPwm,
+        glides=True,
+        progress=glide.progress_s,
+    ),
     Stage(
         name="pose",
         takes=_POSES,
@@ -359,9 +371,18 @@ CONTROLLERS: dict[str, tuple[str, ...]] = {
     "arm": ("follow", "pose", "whole_body", "velocity", "link_wrench", "pseudo_inverse"),
     "ardusub": ("follow", "ardusub"),
 }
-"""The stages of each stack that has a name; all take a planner's `Trajectory`. The laws that feed a
-current forward (tracking, computed_torque) are told it; those that reject what they do not know
-(ismc, aitsm, and all with an integral alone) are not."""
+"""The stages of each stack that has a name and flies by thrust; all take a planner's `Trajectory`.
+The laws that feed a current forward (tracking, computed_torque) are told it; those that reject what
+they do not know (ismc, aitsm, and all with an integral alone) are not."""
+
+
+GLIDER_CONTROLLERS: dict[str, tuple[str, ...]] = {"glide": ("glide",)}
+"""The stages of each stack that has a name and flies vehicles without thrust."""
+
+
+def named_stacks() -> dict[str, tuple[str, ...]]:
+    """Return the stages of each stack that has a name."""
+    return {**CONTROLLERS, **GLIDER_CONTROLLERS}
 
 
 def find_stage(name: str) -> Stage:
@@ -409,6 +430,7 @@ def _user_stage(law_class: type) -> Stage:
         wants_grip=getattr(law, "wants_grip", False),
         wants_sway=getattr(law, "wants_sway", False),
         flies_by_fins=getattr(law, "flies_by_fins", False),
+        glides=getattr(law, "glides", False),
         progress=getattr(law, "progress", None),
     )
 
@@ -428,13 +450,13 @@ def _register_gains(name: str, gains: type) -> type:
 
 def find_controller(controller: str) -> Stages:
     """The stages of a stack that has a name."""
-    return tuple(STAGES[name] for name in CONTROLLERS[controller])
+    return tuple(STAGES[name] for name in named_stacks()[controller])
 
 
 def describe_stages(stages: Stages) -> str:
     """A stack in words: its name, or its stages."""
     names = tuple(stage.name for stage in stages)
-    for name, members in CONTROLLERS.items():
+    for name, members in named_stacks().items():
         if members == names:
             return f"controller {name!r}"
     return f"the controller of stages {_quote_names(names)}"

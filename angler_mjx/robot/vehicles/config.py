@@ -29,6 +29,13 @@ from angler_mjx.robot.vehicles.links import (
     order_links,
 )
 from angler_mjx.robot.vehicles.rotor_config import Number, Positive, Rotor, RotorResponse, Source
+from angler_mjx.robot.vehicles.trim_config import (
+    Ballast,
+    MovingMass,
+    MovingMasses,
+    Tank,
+    check_inertia,
+)
 from angler_mjx.robot.vehicles.uncertainty import Uncertainty
 
 type Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -97,8 +104,8 @@ class Thruster(FileModel):
 class Thrusters(FileModel):
     """Positions and directions of the thrusters."""
 
-    layout: Annotated[tuple[Thruster, ...], Field(min_length=1, max_length=64)]
-    """Thrusters in the order of the signals."""
+    layout: Annotated[tuple[Thruster, ...], Field(max_length=64)]
+    """Thrusters in the order of the signals; empty of a glider."""
     source: Source
 
     @field_validator("layout")
@@ -312,7 +319,12 @@ class VehicleConfig(FileModel):
     thrusters: Thrusters
     fins: Fins | None = None
     """Fins and control surfaces."""
-    rotor: Rotor
+    ballast: Ballast | None = None
+    """Ballast tanks."""
+    moving_masses: MovingMasses | None = None
+    """Masses that move along an axis of the vehicle."""
+    rotor: Rotor | None = None
+    """Common properties of all thrusters; left out where there are none."""
     visual: Visual
     ardusub: ArduSub | None = None
     """ArduSub frame; None: real ArduSub cannot steer the vehicle."""
@@ -362,15 +374,55 @@ class VehicleConfig(FileModel):
 
     @model_validator(mode="after")
     def _check_planar(self) -> Self:
-        if self.planar and (self.links or self.fins):
-            raise ValueError("planar = true: a vehicle that is held level has neither arm nor fins")
+        if self.planar and (self.links or self.fins or self.ballast or self.moving_masses):
+            raise ValueError(
+                "planar = true: a vehicle that is held level has neither arm nor fins, ballast or "
+                "moving masses"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_propelled(self) -> Self:
+        if self.thrusters.layout and self.rotor is None:
+            raise ValueError("rotor: missing; thrusters need the table [rotor]")
+        if not self.thrusters.layout and self.rotor is not None:
+            raise ValueError("rotor: there are no thrusters; leave the table [rotor] out")
+        if not self.actuator_names:
+            raise ValueError("thrusters.layout: empty, and there is no other actuator")
+        return self
+
+    @model_validator(mode="after")
+    def _check_trim(self) -> Self:
+        if not self.tanks and not self.masses:
+            return self
+        for label, chosen in self.parameter_sets.items():
+            try:
+                check_inertia(
+                    self.tanks,
+                    self.masses,
+                    self.base.center_of_mass_m,
+                    chosen.rigid_body.mass_kg,
+                    chosen.rigid_body.inertia_kgm2,
+                )
+            except ValueError as error:
+                raise ValueError(f"parameter_sets.{label}: {error}") from error
         return self
 
     @property
     def actuator_names(self) -> tuple[str, ...]:
-        """Return the names of thrusters and fins, in the order of their signals."""
-        fins = tuple(fin.name for fin in self.fins.layout) if self.fins else ()
-        return tuple(thruster.name for thruster in self.thrusters.layout) + fins
+        """Return the names of thrusters, fins, tanks and masses, in the order of their signals."""
+        parts = (self.thrusters, self.fins, self.ballast, self.moving_masses)
+        return tuple(item.name for part in parts if part is not None for item in part.layout)
+
+    @property
+    def tanks(self) -> tuple[Tank, ...]:
+        """Return the ballast tanks."""
+        return self.ballast.layout if self.ballast else ()
+
+    @property
+    def masses(self) -> tuple[MovingMass, ...]:
+        """Return the moving masses."""
+        return self.moving_masses.layout if self.moving_masses else ()
 
     @property
     def published_sets(self) -> tuple[str, ...]:
@@ -417,6 +469,8 @@ class VehicleConfig(FileModel):
         Raises:
             ConfigError: the vehicle file has no numbers for it.
         """
+        if self.rotor is None:
+            return "first_order"
         chosen = self.rotor.response if name is None else name
         if chosen == "third_order" and self.rotor.third_order is None:
             raise ConfigError(

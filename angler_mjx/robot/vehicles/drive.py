@@ -37,6 +37,9 @@ class Drive:
     """Whether the vehicle can turn about the vertical alone."""
     steers_by_fins: bool = False
     """Whether fins turn it in pitch and yaw when it moves ahead."""
+    glides: bool = False
+    """Whether it has no thrust, and glides down and up by ballast and a moving mass; its speeds in
+    surge and heave are then those of its glide over ground and in depth."""
 
     @property
     def flies_by_fins(self) -> bool:
@@ -88,7 +91,7 @@ def require_flyable(config: VehicleConfig, able: Drive) -> None:
     Raises:
         ConfigError: the vehicle lacks an axis; the message names both.
     """
-    spared = {"sway", "heave", "yaw"} if able.steers_by_fins else {"sway"}
+    spared = {"sway", "heave", "yaw"} if able.steers_by_fins or able.glides else {"sway"}
     if config.planar:
         spared |= {"heave"}
     lacking = [axis for axis in able.missing_axes if axis not in spared]
@@ -96,7 +99,9 @@ def require_flyable(config: VehicleConfig, able: Drive) -> None:
         raise ConfigError(
             f"vehicle {config.name!r} cannot fly a path: no thrust in {' or '.join(lacking)} "
             "alone, both ways; a path takes surge, heave and yaw, each without the others: add "
-            "thrusters or turn those in [thrusters] layout, or give it fins for pitch and yaw"
+            "thrusters or turn those in [thrusters] layout, or give it fins for pitch and yaw; a "
+            "glider has none, a tank in [ballast], and in [moving_masses] one along y and one "
+            "along x with way enough for its glide, both ways"
         )
 
 
@@ -143,6 +148,8 @@ def wrench_matrix(config: VehicleConfig) -> FloatArray:
         [6, n_t]; 1 (first three rows), m.
     """
     layout = config.thrusters.layout
+    if not layout or config.rotor is None:
+        return np.zeros((6, 0))
     arm = np.array([t.position_m for t in layout]) - np.asarray(config.base.center_of_mass_m)
     direction = np.array([t.direction for t in layout])
     spin = np.array([[t.spin] for t in layout], dtype=np.float64)

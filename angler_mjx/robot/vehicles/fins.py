@@ -102,7 +102,8 @@ def build_fins(config: VehicleConfig) -> FinParams | None:
             for name, x in columns.items()
         }
     )
-    return _pad_rows(made, n_thruster, 0)
+    behind = len(config.actuator_names) - n_thruster - len(layout)
+    return _pad_rows(made, n_thruster, behind)
 
 
 def pad_fins(
@@ -172,7 +173,7 @@ def fin_matrix(config: VehicleConfig) -> FloatArray:
     """
     fins = build_fins(config)
     if fins is None:
-        return np.zeros((6, len(config.thrusters.layout)))
+        return np.zeros((6, len(config.actuator_names)))
     return lift_matrix(fins)
 
 

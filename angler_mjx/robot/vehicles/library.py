@@ -43,7 +43,7 @@ def load_vehicle(name_or_path: str) -> VehicleConfig:
 def _parse_vehicle(path: Path, text: str) -> VehicleConfig:
     """Parse a vehicle file of this text, cached: a scenario loads the same file many times."""
     config = parse_model(VehicleConfig, parse_toml(text, format_path(path)), source=str(path))
-    if not config.rotor.model.endswith(".toml"):
+    if config.rotor is None or not config.rotor.model.endswith(".toml"):
         return config
     # A path in a vehicle file means a file beside it, wherever the program was started.
     model = str((path.parent / config.rotor.model).resolve())

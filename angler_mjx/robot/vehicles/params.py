@@ -13,13 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from angler_mjx.robot.vehicles.abilities import compute_abilities
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.damping import (
     CrossDamping,
     build_cross_damping,
     pad_cross_damping,
 )
-from angler_mjx.robot.vehicles.drive import compute_drive, wrench_matrix
+from angler_mjx.robot.vehicles.drive import wrench_matrix
 from angler_mjx.robot.vehicles.fins import FinParams, build_fins, pad_fins
 from angler_mjx.robot.vehicles.link_hull import (
     LinkCapsules,
@@ -30,8 +31,9 @@ from angler_mjx.robot.vehicles.link_hull import (
 from angler_mjx.robot.vehicles.link_params import LinkParams, build_links, pad_links
 from angler_mjx.robot.vehicles.rotor import RotorFilter
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
-from angler_mjx.robot.vehicles.thrust_curves import build_thrust_tables, thrust_ends
+from angler_mjx.robot.vehicles.thrust_curves import build_thrust_tables
 from angler_mjx.robot.vehicles.thrusters import FloatArray
+from angler_mjx.robot.vehicles.trim import TrimParams, build_trim, pad_trim
 
 _PLANAR_AXES = (1.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
@@ -59,7 +61,7 @@ class VehicleParams:
     """[] height over which buoyancy fades at the surface."""
     B: jax.Array
     """[6, n_t] wrench per newton of thrust, reaction torque included; zero in columns of padding
-    and of fins, which stand behind the thrusters."""
+    and of fins, tanks and moving masses, which stand behind the thrusters."""
     thrust_n: jax.Array
     """[201] thrust on the PWM grid 1100, 1104 ... 1900 us, at the robot's voltage; [n_t, 201] where
     a thruster of one vehicle of the fleet has a curve of its file."""
@@ -80,7 +82,7 @@ class VehicleParams:
     terminal_speed_mps: jax.Array
     """[3] surge, sway, heave at full thrust in still water; the slower of the two directions. 0 for
     an axis along which thrusters cannot push alone (see
-    `angler_mjx.robot.vehicles.drive.compute_drive`)."""
+    `angler_mjx.robot.vehicles.drive.compute_drive`). Of a glider, over ground, 0 and in depth."""
     thruster_exists: jax.Array
     """bool [n_t] whether the thruster draws power: False for padding, fins and for dead
     thrusters."""
@@ -93,6 +95,9 @@ class VehicleParams:
     planar."""
     fins: FinParams | None = None
     """Fins, in rows behind the thrusters; None where no vehicle of the fleet has any."""
+    trim: TrimParams | None = None
+    """Ballast tanks and moving masses, in rows behind the fins; None where no vehicle of the fleet
+    has any."""
     links: LinkParams | None = None
     """Links and joints; None where no vehicle of the fleet has any."""
     link_capsules: LinkCapsules | None = None
@@ -133,12 +138,12 @@ def build_vehicle(
     health = health * np.asarray(thrust_gain) if len(thrust_gain) else health
     thrust_n, power_w = build_thrust_tables(config, voltage_v)
     B = wrench_matrix(config)
-    n_fin = len(config.fins.layout) if config.fins else 0
-    health = np.concatenate([health, np.ones(n_fin)]) if n_fin else health
+    n_behind = len(config.actuator_names) - B.shape[1]
+    health = np.concatenate([health, np.ones(n_behind)]) if n_behind else health
     exists = (health > 0.0) & (np.arange(len(health)) < B.shape[1])
     D_l = np.asarray(chosen.damping.linear_diagonal)
     D_q = np.asarray(chosen.damping.quadratic_diagonal)
-    speed = compute_drive(B, *thrust_ends(thrust_n), D_l[:3], D_q[:3]).terminal_speed_mps
+    speed = compute_abilities(config, chosen, thrust_n).terminal_speed_mps
     center = np.asarray(config.base.center_of_mass_m)
     capsules = config.hull.capsules
     start = np.array([capsule.from_m for capsule in capsules]) - center
@@ -154,10 +159,10 @@ def build_vehicle(
         volume_m3=_device_array(chosen.buoyancy.volume_m3),
         p_cb_m=_device_array(chosen.buoyancy.center_of_buoyancy_m),
         hull_height_m=_device_array(config.hull.height_m),
-        B=_device_array(np.pad(B, ((0, 0), (0, n_fin)))),
+        B=_device_array(np.pad(B, ((0, 0), (0, n_behind)))),
         thrust_n=_device_array(_pad_tables(thrust_n, len(health))),
         power_w=_device_array(_pad_tables(power_w, len(health))),
-        tau_s=_device_array(_find_lags(config, n_fin)),
+        tau_s=_device_array(_find_lags(config, n_behind)),
         capsule_a_m=_device_array(start),
         capsule_b_m=_device_array(end),
         capsule_r_m=_device_array(radius),
@@ -168,6 +173,7 @@ def build_vehicle(
         cross_damping=build_cross_damping(chosen.damping),
         free_axes=_device_array(_PLANAR_AXES) if config.planar else None,
         fins=build_fins(config),
+        trim=build_trim(config),
         links=build_links(config, parameter_set),
         link_capsules=build_link_capsules(config),
         rotor=_build_rotor(config, rotor_response),
@@ -197,6 +203,7 @@ def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
     has_lags = any(variant.tau_s.ndim for variant in variants)
     is_held = any(variant.free_axes is not None for variant in variants)
     fins = pad_fins([v.fins for v in variants], [v.B.shape[1] for v in variants], n_t)
+    trim = pad_trim([v.trim for v in variants], [v.B.shape[1] for v in variants], n_t)
     cross_damping = pad_cross_damping([v.cross_damping for v in variants])
     padded = [
         replace(
@@ -208,24 +215,27 @@ def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
             thrust_n=_spread_tables(robot.thrust_n, n_t) if has_curves else robot.thrust_n,
             power_w=_spread_tables(robot.power_w, n_t) if has_curves else robot.power_w,
             fins=robot_fins,
+            trim=robot_trim,
             links=robot_links,
             link_capsules=capsules,
         )
-        for robot, cross, robot_fins, robot_links, capsules in zip(
-            variants, cross_damping, fins, links, link_capsules, strict=True
+        for robot, cross, robot_fins, robot_trim, robot_links, capsules in zip(
+            variants, cross_damping, fins, trim, links, link_capsules, strict=True
         )
     ]
     stacked: VehicleParams = jax.device_put(jax.tree.map(lambda *rows: np.stack(rows), *padded))
     return stacked
 
 
-def _find_lags(config: VehicleConfig, n_fin: int) -> ArrayLike:
+def _find_lags(config: VehicleConfig, n_behind: int) -> ArrayLike:
     """Return the time constant [] of all rotors, s; [n_t] where they differ."""
+    if config.rotor is None:
+        return 1.0
     common = config.rotor.lag.time_constant_s
     lags = [thruster.time_constant_s or common for thruster in config.thrusters.layout]
     if all(lag == common for lag in lags):
         return common
-    return np.array([*lags, *[common] * n_fin])
+    return np.array([*lags, *[common] * n_behind])
 
 
 def _pad_lags(params: VehicleParams, n_t: int) -> Any:
@@ -252,7 +262,7 @@ def _spread_tables(tables: jax.Array, n_t: int) -> Any:
 
 
 def _build_rotor(config: VehicleConfig, response: RotorResponse | None) -> RotorFilter | None:
-    third_order = config.rotor.third_order
+    third_order = None if config.rotor is None else config.rotor.third_order
     if config.find_response(response) == "first_order" or third_order is None:
         return None
     lead, *a = third_order.denominator

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from angler_mjx.robot.vehicles.abilities import compute_abilities
 from angler_mjx.robot.vehicles.config import ParameterSet, VehicleConfig
 from angler_mjx.robot.vehicles.damping import largest_gain_w
-from angler_mjx.robot.vehicles.drive import compute_drive, wrench_matrix
-from angler_mjx.robot.vehicles.thrust_curves import build_thrust_tables, thrust_ends
+from angler_mjx.robot.vehicles.drive import wrench_matrix
+from angler_mjx.robot.vehicles.thrust_curves import build_thrust_tables
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 
 GRAVITY_MPS2 = 9.81
@@ -40,7 +41,8 @@ class VehicleProperties:
     trim_rad: tuple[float, float] | None
     """Roll and pitch at rest, links left out; None without an arm of buoyancy, and of planar
     vehicles."""
-    rotor_time_constant_s: float
+    rotor_time_constant_s: float | None
+    """None of a vehicle without thrusters."""
     damping_gain_w: float | None
     """Largest power that damping between axes gives the vehicle in still water, see
     `damping.largest_gain_w`; above zero the file is wrong somewhere. None of diagonal damping."""
@@ -59,7 +61,7 @@ def describe_vehicle(
     B = wrench_matrix(config)
     linear = np.asarray(chosen.damping.linear_diagonal[:3])
     quadratic = np.asarray(chosen.damping.quadratic_diagonal[:3])
-    speed = compute_drive(B, *thrust_ends(thrust_n), linear, quadratic).terminal_speed_mps
+    speed = compute_abilities(config, chosen, thrust_n).terminal_speed_mps
     slope = linear + 2 * quadratic * speed
     M_A = np.asarray(chosen.added_mass.coefficients)
     links = config.find_links(parameter_set)
@@ -81,7 +83,7 @@ def describe_vehicle(
         trim_rad=None
         if config.planar
         else compute_trim_rad(np.asarray(chosen.buoyancy.center_of_buoyancy_m)),
-        rotor_time_constant_s=config.rotor.lag.time_constant_s,
+        rotor_time_constant_s=config.rotor.lag.time_constant_s if config.rotor else None,
         damping_gain_w=largest_gain_w(chosen.damping) if chosen.damping.couples_axes else None,
     )
 

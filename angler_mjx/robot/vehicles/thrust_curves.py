@@ -20,11 +20,14 @@ def build_thrust_tables(config: VehicleConfig, voltage_v: float) -> tuple[FloatA
         voltage_v: battery voltage; curves of single thrusters hold at any.
 
     Returns:
-        Thrust [201] N and power [201] W of each thruster; [n_t, 201] where one has a curve.
+        Thrust [201] N and power [201] W of each thruster; [n_t, 201] where one has a curve, and
+        zero where there is no thruster.
 
     Raises:
         ConfigError: unknown thruster, or a voltage outside its data.
     """
+    if config.rotor is None:
+        return np.zeros(PWM_GRID_US.size), np.zeros(PWM_GRID_US.size)
     thrust_n, power_w = tables_at(load_thruster(config.rotor.model), voltage_v)
     curves = [thruster.curve for thruster in config.thrusters.layout]
     if all(curve is None for curve in curves):

@@ -93,6 +93,9 @@ def copy_inputs(
     names: set[str] = set()
     for named in dict.fromkeys(vehicles):
         vehicle, thruster = _vehicle_files(named)
+        if thruster is None:
+            inputs.append(_write_copy(folder, vehicle, vehicle.data, names))
+            continue
         thruster_copies = [
             entry for entry in inputs if (entry.role, entry.named) == (THRUSTER, thruster.named)
         ]
@@ -248,7 +251,7 @@ def _vehicle_state(
         except (ConfigError, OSError):
             exists = False
         return "edited" if exists else "gone"
-    if used.get((THRUSTER, thruster.named)) != thruster.sha256:
+    if thruster is not None and used.get((THRUSTER, thruster.named)) != thruster.sha256:
         return "edited"
     is_same = vehicle.sha256 == entry.sha256
     return "same" if is_same or _only_gained_sets(folder / entry.copy_path, vehicle) else "edited"
@@ -274,11 +277,13 @@ def _only_gained_sets(copy: Path, current: _CurrentFile) -> bool:
     return same
 
 
-def _vehicle_files(named: str) -> tuple[_CurrentFile, _CurrentFile]:
-    """Read a vehicle's file and that of its thrusters as they are now."""
+def _vehicle_files(named: str) -> tuple[_CurrentFile, _CurrentFile | None]:
+    """Read a vehicle's file and that of its thrusters, if it has any, as they are now."""
     vehicle = _read_file(VEHICLE, named, library.locate_vehicle(named))
-    model = library.load_vehicle(named).rotor.model
-    return vehicle, _read_file(THRUSTER, model, library.locate_thruster(model))
+    rotor = library.load_vehicle(named).rotor
+    if rotor is None:
+        return vehicle, None
+    return vehicle, _read_file(THRUSTER, rotor.model, library.locate_thruster(rotor.model))
 
 
 def _read_file(role: str, named: str, path: Path) -> _CurrentFile:

@@ -23,22 +23,32 @@ def advance_rotors(
     Args:
         params: of the vehicle.
         states: as `at_rest` gives them, N.
-        command: [n_thruster] N, what the thrusters settle at; of fins the deflection, rad.
+        command: [n_thruster] N, what the thrusters settle at; of fins the deflection, rad, of tanks
+            the water beyond half full, m^3, and of moving masses the position, m.
         dt: s; a number, not an array, where the rotors are of third order.
 
     Returns:
         States at the end of the step, and the mean thrusts [n_thruster] over it.
     """
     after, mean = _advance_thrusters(params, states, command, dt)
-    if params.fins is None:
-        return after, mean
-    fins = params.fins
-    angle = states if states.ndim == 1 else states[0]
-    turned = fin.turn_fins(angle, command, fins.tau_s, fins.rate_radps, dt)
-    if after.ndim == 1:
-        return jnp.where(fins.is_fin, turned, after), mean
-    rows = jnp.stack([turned, jnp.zeros_like(turned), jnp.zeros_like(turned)])
-    return jnp.where(fins.is_fin[None, :], rows, after), mean
+    value = states if states.ndim == 1 else states[0]
+    if params.fins is not None:
+        fins = params.fins
+        turned = fin.turn_fins(value, command, fins.tau_s, fins.rate_radps, dt)
+        after = _put_values(after, fins.is_fin, turned)
+    if params.trim is not None:
+        trim = params.trim
+        moved = fin.turn_fins(value, command, trim.tau_s, trim.rate, dt)
+        after = _put_values(after, trim.is_trim, moved)
+    return after, mean
+
+
+def _put_values(states: jax.Array, is_servo: jax.Array, values: jax.Array) -> jax.Array:
+    """Return states with values [n_thruster] in the rows of servos, bool [n_thruster]."""
+    if states.ndim == 1:
+        return jnp.where(is_servo, values, states)
+    rows = jnp.stack([values, jnp.zeros_like(values), jnp.zeros_like(values)])
+    return jnp.where(is_servo[None, :], rows, states)
 
 
 def _advance_thrusters(

@@ -36,6 +36,7 @@ from angler_mjx.robot.vehicles.link_motion import JointMotion, LinkMotion
 from angler_mjx.robot.vehicles.link_params import LinkParams
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.properties import GRAVITY_MPS2
+from angler_mjx.robot.vehicles.trim import TrimParams, trim_change
 from angler_mjx.sim.physics import joints as joint_efforts
 from angler_mjx.sim.physics import rotors
 from angler_mjx.sim.physics.closed_form import ClosedForm
@@ -85,7 +86,8 @@ class VehicleState:
     a vehicle with links, those on its joints last, less M ``change`` / dt of that step."""
     thrust: jax.Array
     """[n_thruster] N, behind the rotor's lag; [3, n_thruster] states of rotors of third order, the
-    thrust first; of a fin its deflection, rad."""
+    thrust first; of a fin its deflection, rad, of a tank its water beyond half full, m^3, and of a
+    moving mass its position, m."""
     joints: JointMotion | None = None
     """[J] motion of the joints; None of a vehicle without links."""
     change: jax.Array | None = None
@@ -115,7 +117,19 @@ def smooth_force[Body](
             wrench = wrench + fin_wrench(params.fins, state.thrust, nu_r, water.density_kgpm3)
     with jax.named_scope("multibody"):
         M_RB, dry = engine.inertia_and_force(body, state.p, state.q, state.nu)
-    return M_RB + params.M_A, dry + wrench, nu_r
+    M, force = M_RB + params.M_A, dry + wrench
+    if params.trim is not None:
+        M, force = _add_trim(params.trim, state, M, force, water)
+    return M, force, nu_r
+
+
+def _add_trim(
+    trim: TrimParams, state: VehicleState, M: jax.Array, force: jax.Array, water: Water
+) -> tuple[jax.Array, jax.Array]:
+    """Return inertia [6, 6] and forces [6] with those of ballast and moving masses."""
+    density, gravity = water.density_kgpm3, water.gravity_mps2
+    change = trim_change(trim, state.thrust, state.q, state.nu, density, gravity)
+    return M + change.M, force + change.wrench
 
 
 def base_wrench(
@@ -335,6 +349,9 @@ def join_forces(
         nu_r = jnp.concatenate([nu[:3] - quaternion.rotate_inverse(q, v_c), nu[3:]])
         if params.fins is not None:
             force = force + fin_wrench(params.fins, state.thrust, nu_r, density)
+        M_base = M_base + params.M_A
+        if params.trim is not None:
+            M_base, force = _add_trim(params.trim, state, M_base, force, water)
     with jax.named_scope("links"):
         motion = link_terms.move_links(links, joints, nu)
         inertia, wrench = link_terms.inertia_and_wrench(
@@ -342,7 +359,7 @@ def join_forces(
         )
         links_nu_r = link_terms.relative_velocity(motion, q, v_c)
         wrench = wrench + link_terms.drag_wrench(links, links_nu_r, density)
-        M = link_terms.join_bodies(motion, inertia).at[:6, :6].add(M_base + params.M_A)
+        M = link_terms.join_bodies(motion, inertia).at[:6, :6].add(M_base)
     return JoinedForces(
         M=M + jnp.diag(jnp.concatenate([jnp.zeros_like(nu), links.armature])),
         force=link_terms.join_wrenches(motion, wrench) + _on_base(force, links),

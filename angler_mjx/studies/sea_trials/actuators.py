@@ -47,7 +47,8 @@ class Actuators:
     upper: Command
     """[n] greatest command."""
     fins: int = 0
-    """Number of fins, the last of the actuators: they push with way on, and not from rest."""
+    """Number of fins, tanks and moving masses, the last of the actuators: fins push with way on and
+    not from rest, the others stay in the middle."""
 
     def push(self, axis: Axis, sign: int) -> Command | None:
         """Return the command of the greatest push along an axis; None where there is none.
@@ -120,10 +121,15 @@ def build_actuators(config: VehicleConfig, voltage_v: float) -> Actuators:
     fins = build_fins(config)
     if fins is not None:
         speed_mps = float(describe_vehicle(config, None, voltage_v).terminal_speed_mps[0])
-        by_fins = 0.5 * Water().density_kgpm3 * speed_mps**2 * fin_matrix(config)[:, count:]
-        limit = np.asarray(fins.limit_rad, float)[count:]
+        rows = slice(count, count + len(config.fins.layout) if config.fins else count)
+        by_fins = 0.5 * Water().density_kgpm3 * speed_mps**2 * fin_matrix(config)[:, rows]
+        limit = np.asarray(fins.limit_rad, float)[rows]
         effect = np.concatenate([effect, by_fins], axis=1)
         lower, upper = np.concatenate([lower, -limit]), np.concatenate([upper, limit])
+    held = np.zeros(len(config.tanks) + len(config.masses))
+    if held.size:
+        effect = np.concatenate([effect, np.zeros((6, held.size))], axis=1)
+        lower, upper = np.concatenate([lower, held]), np.concatenate([upper, held])
     return Actuators(effect=effect, lower=lower, upper=upper, fins=effect.shape[1] - count)
 
 

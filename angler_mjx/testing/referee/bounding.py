@@ -121,7 +121,8 @@ def _check_numbers(
         "path_length_m", min_path_m, float("inf"), "no way is shorter than straight lines"
     )
     thrusters = run.robots[robot]
-    max_energy_j = float(thrusters.power_w.max() * thrusters.alive.sum() * step * run.control_dt_s)
+    max_w = float(thrusters.power_w.max() * thrusters.alive.sum() + thrusters.servos.power_w.sum())
+    max_energy_j = max_w * step * run.control_dt_s
     if np.isnan(float(row["energy_j"])) and scene.stored_outcome(robot) == "diverged":
         collector.unchecked("energy_j", "a robot that diverged had no last command")
     else:

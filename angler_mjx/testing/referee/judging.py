@@ -125,16 +125,19 @@ def _check_energy(collector: FindingCollector, scene: RefereeScene, robot: int, 
     """Check the energy: power of every command until the end, for a control period each."""
     pwm, dt = scene.world.pwm_us[:last, robot], scene.run.control_dt_s
     thrusters = scene.run.robot(robot, collector.row)
-    signals = pwm[:, : thrusters.alive.size]
+    servos, count = thrusters.servos, thrusters.alive.size
+    signals = np.concatenate([pwm[:, :count], pwm[:, servos.columns]], axis=1)
     if len(pwm) < last or not np.all(np.isfinite(signals) & (signals > 0.0)):
         collector.unchecked("energy_j", "a step has no command in the record")
         return
-    judged = float(np.sum(thrusters.power(pwm)) * dt)
+    moved_j = servos.energy_j(pwm, dt, scene.run.physics_dt_s)
+    judged = float(np.sum(thrusters.power(pwm)) * dt) + moved_j
     tolerance = max(say.ENERGY_FRACTION * judged, say.ENERGY_J)
     if not scene.run.whole_us:
         collector.number("energy_j", judged, tolerance, relative=True)
         return
-    low, high = (float(np.sum(x) * dt) for x in thrusters.power_bounds(pwm, HALF_US))
+    low, high = (float(np.sum(x) * dt) + moved_j for x in thrusters.power_bounds(pwm, HALF_US))
+    tolerance += servos.rounding_w(HALF_US) * len(pwm) * dt
     collector.add_bounded("energy_j", low - tolerance, high + tolerance, "commands are whole us")
 
 

@@ -50,6 +50,7 @@ class RefereeRun:
 
     path: Path
     control_dt_s: float
+    physics_dt_s: float
     every: int
     """Control steps between samples."""
     horizon_steps: int
@@ -250,6 +251,7 @@ def open_run(path: Path) -> RefereeRun:
         whole_us=whole,
         group=group,
         control_dt_s=dt,
+        physics_dt_s=float(timing.get("physics_dt_s", dt)),
         every=round(1.0 / (hz * dt)),
         horizon_steps=round(horizon_s / dt),
         goal_tolerance_m=goal_tolerance_m,

@@ -11,6 +11,7 @@ import numpy as np
 from angler_mjx.errors import ConfigError
 from angler_mjx.testing.referee.arms import RefereeArm, read_arm
 from angler_mjx.testing.referee.geometry import Floats
+from angler_mjx.testing.referee.servos import RefereeServos, read_servos
 
 SHIPPED_FOLDER = Path(__file__).parents[2] / "robot" / "vehicles" / "data"
 
@@ -104,6 +105,15 @@ StoredVariant = TypedDict(  # noqa: UP013 - keys of files are no names
 """Row of ``variants.json``: voltage, and sampled values by name."""
 
 
+_NO_THRUSTER: dict[str, Any] = {
+    "voltage_v": [0.0, 1e6],
+    "pwm_us": [1100.0, 1900.0],
+    "thrust_n": [[0.0, 0.0], [0.0, 0.0]],
+    "power_w": [[0.0, 0.0], [0.0, 0.0]],
+}
+"""Table of vehicles without thrusters."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RefereeRobot:
     """One robot of the fleet."""
@@ -120,6 +130,8 @@ class RefereeRobot:
     alive: np.ndarray
     """bool [t] the thrusters that exist and are not dead: only they draw power."""
     thruster: ThrusterPower
+    servos: RefereeServos
+    """Tanks and moving masses; none of most vehicles."""
 
     def with_variant(self, variant: StoredVariant) -> "RefereeRobot":
         """Return the robot with a row of ``variants.json``: hulls are never sampled."""
@@ -171,10 +183,12 @@ def read_robot(entry: FleetTable, copies: Mapping[str, Path]) -> RefereeRobot:
     path = _find_file(str(entry["vehicle"]), copies)
     file = _read_toml(path)
     try:
-        model = str(file["rotor"]["model"])
-        table = _read_toml(
-            path.parent / model if model.endswith(".toml") else _shipped_thruster(model)
-        )
+        table = _NO_THRUSTER
+        if file["thrusters"]["layout"]:
+            model = str(file["rotor"]["model"])
+            table = _read_toml(
+                path.parent / model if model.endswith(".toml") else _shipped_thruster(model)
+            )
         thruster = ThrusterPower(
             voltage_v=np.asarray(table["voltage_v"], float),
             pwm_us=np.asarray(table["pwm_us"], float),
@@ -198,8 +212,9 @@ def read_robot(entry: FleetTable, copies: Mapping[str, Path]) -> RefereeRobot:
             ),
             pwm_us=thruster.signal_us,
             power_w=thruster.power_at(float(entry["battery_v"])),
-            alive=np.array([health.get(name, 1.0) > 0.0 for name in names]),
+            alive=np.array([health.get(name, 1.0) > 0.0 for name in names], bool),
             thruster=thruster,
+            servos=read_servos(file),
         )
     except (KeyError, TypeError, ValueError, IndexError) as error:
         message = f"{error} is missing" if isinstance(error, KeyError) else str(error)

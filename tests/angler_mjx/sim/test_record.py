@@ -21,7 +21,7 @@ def test_phases_are_in_order_and_read_what_was_given_before():
     phases = (step.DECIDE, step.MOVE, step.OBSTACLES, step.JUDGE)
     assert tuple(phase.name for phase in phases) == step.PHASES[4:]
     constants = {"params", "command", "current", "flow", "goal_m", "contact", "finished"}
-    constants |= {"fails_at_s", "approach", "corners", "joints", "grip"}
+    constants |= {"fails_at_s", "approach", "corners", "joints", "grip", "actuators"}
     constants |= {"reaching", "impacts"}
     there = {"estimate", *(one.name for one in fields(step.RobotState))}
     for phase in (step.DECIDE, step.MOVE, step.JUDGE):

@@ -139,8 +139,8 @@ def step(
     if flies is not None:
         lookahead_m = jnp.where(flies, gains.fin_lookahead_m, lookahead_m)
         switch_m = jnp.where(flies, gains.fin_switch_radius_m, switch_m)
-    k = _select_segment(switch_m, carry.segment, estimate.p, command)
-    start, tangent, length, speed, last = _segment_geometry(command, k)
+    k = select_segment(switch_m, carry.segment, estimate.p, command)
+    start, tangent, length, speed, last = segment_geometry(command, k)
     speed = jnp.minimum(speed, model.speed_limit(vehicle))
     offset = estimate.p - start
     along = jnp.sum(offset * tangent)
@@ -224,16 +224,16 @@ def _fly(
     return jnp.concatenate([jnp.stack([speed, jnp.zeros_like(speed), jnp.zeros_like(speed)]), turn])
 
 
-def _select_segment(
+def select_segment(
     switch_m: jax.Array | float, k: jax.Array, p: jax.Array, path: Trajectory
 ) -> jax.Array:
     """Index [] of the segment to follow: the next one when this one is nearly done."""
-    start, tangent, length, _, last = _segment_geometry(path, k)
+    start, tangent, length, _, last = segment_geometry(path, k)
     done = jnp.sum((p - start) * tangent) > length - switch_m
     return jnp.where(done & ~last, k + 1, k)
 
 
-def _segment_geometry(
+def segment_geometry(
     path: Trajectory, k: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]:
     """Start [3], unit tangent [3], length [], planned speed [] and whether it is the last, of k."""

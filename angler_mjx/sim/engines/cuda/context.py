@@ -172,6 +172,14 @@ class KernelGroup(KernelProgram):
     """See `step.DecideInput`, `step.MoveInput`, `step.JudgeInput`: kernels fly rigid vehicles."""
 
     @property
+    def actuators(self) -> jax.Array | None:
+        """See `step.DecideInput`."""
+        if self.params.vehicle.trim is None:
+            return None
+        vehicle: VehicleState = self.read_slot("vehicle")
+        return step.select_actuators(self.params, vehicle)
+
+    @property
     def goal_m(self) -> jax.Array:
         """See `step.JudgeInput`."""
         return self._constants.goal_m

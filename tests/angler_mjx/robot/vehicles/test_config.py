@@ -43,6 +43,7 @@ def test_shipped_vehicles_and_sets():
         "otter",
         "remus100",
         "rexrov",
+        "seawing",
     ]
     assert set(load_vehicle("bluerov2_heavy").parameter_sets) == {
         "wu2018",
