@@ -255,8 +255,10 @@ _WRENCH_ROWS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def _format_properties(properties: "VehicleProperties") -> list[tuple[str, str]]:
+    has_thrust = properties.wrench_matrix.shape[1] > 0
+    by = "at full thrust" if has_thrust else "gliding by a full tank"
     speeds = zip(
-        ("surge", "sway", "heave"),
+        ("surge", "sway", "heave") if has_thrust else ("over ground", "sway", "in depth"),
         properties.terminal_speed_mps,
         properties.speed_time_constant_s,
         strict=True,
@@ -266,7 +268,10 @@ def _format_properties(properties: "VehicleProperties") -> list[tuple[str, str]]
         ("weight", f"{properties.weight_n:.2f} N"),
         ("buoyancy", f"{properties.buoyancy_n:.2f} N"),
         ("net (up is positive)", f"{properties.buoyancy_n - properties.weight_n:+.2f} N"),
-        *((f"{axis} at full thrust", _format_speed(speed, lag)) for axis, speed, lag in speeds),
+        *(
+            (f"{axis} {by if speed > 0 else 'at full thrust'}", _format_speed(speed, lag))
+            for axis, speed, lag in speeds
+        ),
         ("natural roll period", _format_period(properties.roll_period_s)),
         ("natural pitch period", _format_period(properties.pitch_period_s)),
         ("trim at rest", _format_trim(properties.trim_rad)),
