@@ -133,7 +133,7 @@ def format_board(tables: Sequence[Mapping[str, Any]]) -> str:
             ]
             if group:
                 sections.append(_format_group(group, is_hidden=is_hidden, is_whole=is_whole))
-    versions = sorted({_format_physics(entry.table) for entry in entries})
+    versions = sorted({f"angler-mjx {e.table['physics']['angler-mjx']}" for e in entries})
     problems = sum(entry.problems for entry in every)
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
