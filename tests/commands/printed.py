@@ -1,6 +1,7 @@
 """Command lines that README and docs print, and the verbs and flags that they name."""
 
 import functools
+import json
 import re
 import shlex
 from dataclasses import dataclass
@@ -59,6 +60,20 @@ def commands():
         for program, words in split(line):
             found.setdefault((program, words), Command(program, words, page))
     return tuple(found.values())
+
+
+@functools.cache
+def notebook_commands():
+    """Commands of the cells of notebooks; they read what other cells wrote."""
+    found = []
+    for page in sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")):
+        for cell in json.loads(page.read_text(encoding="utf-8"))["cells"]:
+            first, *lines = "".join(cell["source"]).splitlines() or [""]
+            if cell["cell_type"] == "code" and first == "%%bash":
+                found += [Command(*parts, page.name) for line in lines for parts in split(line)]
+            for line in re.findall(r"^ *!(.*)$", "".join(cell["source"]), re.M):
+                found += [Command(*parts, page.name) for parts in split(line)]
+    return tuple(found)
 
 
 def command(line):
