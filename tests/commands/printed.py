@@ -93,8 +93,8 @@ def split(line):
             continue
         while words and re.fullmatch(r"[A-Z_]+=.*", words[0]):
             words = words[1:]
-        if ">" in words:
-            words = words[: words.index(">")]
+        into = [i for i, word in enumerate(words) if word in (">", ">>")]
+        words = words[: into[0]] if into else words
         if words:
             program = "python" if words[0] == "python3" else words[0]
             yield program, tuple(words[1:])

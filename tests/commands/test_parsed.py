@@ -135,9 +135,9 @@ def test_lines_of_every_form_are_read():
 
 
 def test_a_line_is_split_as_a_shell_does():
-    line = "A=1 angler rollout x --json | head; make test # why"
+    line = "A=1 angler rollout x --json | head; make test > log # why"
     assert [program for program, _ in printed.split(line)] == ["angler", "head", "make"]
-    line = "angler dataset make 'x y' > log && python3 -m m 'a; b'"
+    line = "angler dataset make 'x y' >> log && python3 -m m 'a; b'"
     expected = [("angler", ("dataset", "make", "x y")), ("python", ("-m", "m", "a; b"))]
     assert list(printed.split(line)) == expected
 
