@@ -24,7 +24,7 @@ from tools.notebooks import running  # noqa: E402
 
 TEXTS = {
     "first_flight": (" robots that arrive in both, the current costs ", "32 robots, columns:"),
-    "fleet_size": ("robots, of 1, 2 and 3 (95 %: ", "runs/survey/page.md"),
+    "fleet_size": ("robots (95 %: ", "runs/survey/page.md"),
     "learned_policy": (" examples to train with, ", "priority: 16 of 16 teams all arrived"),
     "on_ardusub": ("ArduSub's own estimate is ", "robot 3 ("),
     "own_planner": ("{'reached': ", "'collision_static': "),
