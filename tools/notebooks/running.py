@@ -24,9 +24,12 @@ LIMIT_S = 900
 NEEDS = "needs"
 """Key of a notebook's metadata ``angler``: program that it cannot run without."""
 PROGRESS = re.compile(
-    r"\x1b\[[0-9;?]*[A-Za-z]|[^\n]*\r(?!\n)|^[IWE]\d{4} \d\d:\d\d:\d\d\.[^\n]*\n", re.M
+    r"\x1b\[[0-9;?]*[A-Za-z]|[^\n]*\r(?!\n)"
+    r"|^[^\n]*━[^\n]*\d:\d\d:\d\d[^\n]*\n(?: +vehicle-steps/s *\n)?"
+    r"|^[IWE]\d{4} \d\d:\d\d:\d\d\.[^\n]*\n",
+    re.M,
 )
-"""Colours, lines that were written over, and messages of XLA's compiler to its developers."""
+"""Colours, lines that were written over, bars of progress, and messages of XLA's compiler to its developers."""
 
 
 def list_notebooks() -> list[Path]:
