@@ -29,7 +29,7 @@ PROGRESS = re.compile(
     r"|^[IWE]\d{4} \d\d:\d\d:\d\d\.[^\n]*\n",
     re.M,
 )
-"""Colours, lines that were written over, bars of progress, and messages of XLA's compiler to its developers."""
+"""Colours, lines that were written over, bars of progress, messages of XLA to its developers."""
 
 
 def list_notebooks() -> list[Path]:
