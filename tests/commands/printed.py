@@ -1,6 +1,7 @@
 """Command lines that README and docs print, and the verbs and flags that they name."""
 
 import functools
+import json
 import re
 import shlex
 from dataclasses import dataclass
@@ -61,6 +62,20 @@ def commands():
     return tuple(found.values())
 
 
+@functools.cache
+def notebook_commands():
+    """Commands of the cells of notebooks; they read what other cells wrote."""
+    found = []
+    for page in sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")):
+        for cell in json.loads(page.read_text(encoding="utf-8"))["cells"]:
+            first, *lines = "".join(cell["source"]).splitlines() or [""]
+            if cell["cell_type"] == "code" and first == "%%bash":
+                found += [Command(*parts, page.name) for line in lines for parts in split(line)]
+            for line in re.findall(r"^ *!(.*)$", "".join(cell["source"]), re.M):
+                found += [Command(*parts, page.name) for parts in split(line)]
+    return tuple(found)
+
+
 def command(line):
     """Return the command of a line that holds one."""
     ((program, words),) = split(line)
@@ -78,8 +93,8 @@ def split(line):
             continue
         while words and re.fullmatch(r"[A-Z_]+=.*", words[0]):
             words = words[1:]
-        if ">" in words:
-            words = words[: words.index(">")]
+        into = [i for i, word in enumerate(words) if word in (">", ">>")]
+        words = words[: into[0]] if into else words
         if words:
             program = "python" if words[0] == "python3" else words[0]
             yield program, tuple(words[1:])

@@ -16,7 +16,12 @@ from angler_mjx.cli import main as cli
 
 from . import printed, running
 
-COMMANDS = (*printed.commands(), *running.DAILY, *running.NIGHTLY)
+COMMANDS = (
+    *printed.commands(),
+    *printed.notebook_commands(),
+    *running.DAILY,
+    *running.NIGHTLY,
+)
 
 
 def _of(program):
@@ -125,13 +130,14 @@ def test_lines_of_every_form_are_read():
     assert "angler scenarios" in lines  # of a block
     assert "angler dataset verify datasets/reef --again 20" in lines  # of an indented block
     assert "angler fly dense_dynamic --planner RRTConnect --replan-hz 1" in lines  # of two lines
-    assert {command.page for command in COMMANDS} >= {"README.md", "docs/how_to/sitl.md"}
+    pages = {"README.md", "docs/how_to/sitl.md", "fleet_size.ipynb", "on_ardusub.ipynb"}
+    assert {command.page for command in COMMANDS} >= pages
 
 
 def test_a_line_is_split_as_a_shell_does():
-    line = "A=1 angler rollout x --json | head; make test # why"
+    line = "A=1 angler rollout x --json | head; make test > log # why"
     assert [program for program, _ in printed.split(line)] == ["angler", "head", "make"]
-    line = "angler dataset make 'x y' > log && python3 -m m 'a; b'"
+    line = "angler dataset make 'x y' >> log && python3 -m m 'a; b'"
     expected = [("angler", ("dataset", "make", "x y")), ("python", ("-m", "m", "a; b"))]
     assert list(printed.split(line)) == expected
 

@@ -203,6 +203,35 @@ def test_the_text_of_an_example_is_its_docstring_or_its_first_comment(tmp_path):
     assert examples.read_description(tmp_path / "a.cpp") == ("Shortest paths", "Of all. Build: cc")
 
 
+def test_cells_of_notebooks_are_shown_in_their_language(tmp_path):
+    sources = {
+        "%%bash\nangler --help": "````bash\nangler --help\n````",
+        "%%writefile a.toml\nx = 1": "````toml\n# a.toml\nx = 1\n````",
+        "%%writefile a.urdf\n<a/>": "`a.urdf`:\n\n````xml\n<a/>\n````",
+        "try:\n    %pip install a": "````ipython3\ntry:",
+        "print(1)": "````python\nprint(1)\n````",
+    }
+    cell = {"cell_type": "code", "execution_count": 1, "outputs": []}
+    notebook = tmp_path / "fly.ipynb"
+    notebook.write_text(json.dumps({"cells": [{**cell, "source": text} for text in sources]}))
+    page = notebook_pages.format_page(notebook)
+    assert [text for text in sources.values() if text not in page] == []
+
+
+@pytest.mark.parametrize("owner", ["OWNER/REPOSITORY", "a/b"])
+def test_a_badge_is_a_link_on_a_page(tmp_path, owner):
+    """A page loads no picture from elsewhere; before the owner is named there is no link either."""
+    address = f"https://colab.research.google.com/github/{owner}/blob/main/docs/notebooks/fly.ipynb"
+    badge = f"[![Open in Colab](https://colab.research.google.com/badge.svg)]({address})"
+    notebook = tmp_path / "fly.ipynb"
+    cell = {"cell_type": "markdown", "source": f"# Fly\n\n{badge}\n\nThis flies."}
+    notebook.write_text(json.dumps({"cells": [cell]}))
+    text = notebook_pages.format_page(notebook)
+    assert text.startswith("# Fly\n\nThis flies.\n")
+    assert "badge.svg" not in text
+    assert (f"[Open it in Colab]({address})" in text) == (owner == "a/b")
+
+
 def test_a_notebook_is_a_page_with_its_outputs(tmp_path):
     picture = {"output_type": "display_data", "data": {"image/png": "aGk=", "text/plain": "x"}}
     stream = {"output_type": "stream", "name": "stdout", "text": ["8 robots\n", "done\n"]}

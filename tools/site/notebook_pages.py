@@ -2,11 +2,15 @@
 
 import base64
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from tools.site.menu import MenuError
+
+BADGE = re.compile(r"^\[!\[Open in Colab\]\([^)]*\)\]\(([^)]*)\)\n\n?", re.M)
+"""Badge of a notebook, with the address that it leads to; a page loads no picture of others."""
 
 
 def format_page(notebook: Path) -> str:
@@ -21,10 +25,14 @@ def format_page(notebook: Path) -> str:
     for number, cell in enumerate(cells):
         text = "".join(cell["source"])
         if cell["cell_type"] == "markdown":
-            lines += [text, ""]
+            badge = BADGE.search(text)
+            lines += [BADGE.sub("", text), ""]
             if number == 0:
                 file = f"docs/{notebook.parent.name}/{notebook.name}"
-                lines += [f"Open it in Jupyter: {{download}}`{file} <{notebook.name}>`.", ""]
+                colab = (
+                    f" [Open it in Colab]({badge[1]})." if badge and _is_filled(badge[1]) else ""
+                )
+                lines += [f"Open it in Jupyter: {{download}}`{file} <{notebook.name}>`.{colab}", ""]
             continue
         if cell["execution_count"] is None:
             raise MenuError(
@@ -52,18 +60,36 @@ def list_pictures(notebook: Path) -> Mapping[str, bytes]:
     return {f"{notebook.stem}_{number}.png": data for number, data in enumerate(pictures)}
 
 
+def _is_filled(address: str) -> bool:
+    """Return whether the owner has named the repository of an address."""
+    return "OWNER/REPOSITORY" not in address
+
+
 def _join(text: Any) -> str:
     return "".join(text)
 
 
+LANGUAGES = {".cpp": "cpp", ".toml": "toml", ".urdf": "xml", ".py": "python"}
+"""Languages of the files that cells write, by the ends of their names."""
+
+
 def _language(text: str) -> str:
-    return "cpp" if text.startswith("%%writefile") and ".cpp" in text.split("\n")[0] else "python"
+    first = text.partition("\n")[0]
+    if first.startswith("%%writefile "):
+        return LANGUAGES.get(Path(first).suffix, "text")
+    if first == "%%bash":
+        return "bash"
+    return "ipython3" if re.search(r"^ *[%!]", text, re.M) else "python"
 
 
 def _fence(text: str, language: str) -> Sequence[str]:
     # A magic is no Python: Pygments would mark the whole cell as wrong.
     first, _, rest = text.partition("\n")
     if first.startswith("%%writefile "):
-        comment = "//" if language == "cpp" else "#"
-        text = f"{comment} {first.removeprefix('%%writefile ')}\n{rest}"
+        name = first.removeprefix("%%writefile ")
+        if language == "xml":  # a comment before its first line is no XML
+            return [f"`{name}`:", "", f"````{language}", rest, "````", ""]
+        text = f"{'//' if language == 'cpp' else '#'} {name}\n{rest}"
+    elif first == "%%bash":
+        text = rest
     return [f"````{language}", text, "````", ""]
