@@ -93,7 +93,7 @@ def split(line):
             continue
         while words and re.fullmatch(r"[A-Z_]+=.*", words[0]):
             words = words[1:]
-        into = [i for i, word in enumerate(words) if word in (">", ">>")]
+        into = [i for i, word in enumerate(words) if re.fullmatch(r"[12]?>>?", word)]
         words = words[: into[0]] if into else words
         if words:
             program = "python" if words[0] == "python3" else words[0]
