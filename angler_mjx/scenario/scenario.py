@@ -496,6 +496,7 @@ def _vehicle_table(vehicle: VehicleConfig, used_sets: Sequence[str]) -> JsonTabl
             exclude={
                 **{key: True for key in ("links", "uncertainty") if not getattr(row, key)},
                 **({} if row.damping.products else {"damping": {"products"}}),
+                **({} if row.buoyancy.bodies else {"buoyancy": {"bodies"}}),
             },
         )
         for name, row in vehicle.parameter_sets.items()

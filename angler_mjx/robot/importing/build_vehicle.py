@@ -35,6 +35,7 @@ from angler_mjx.robot.importing.numbers import (
 )
 from angler_mjx.robot.importing.rigid_groups import Group, find_thrusters, join_bodies, shapes_of
 from angler_mjx.robot.importing.thrust_curves import curve_table, limit_thrust
+from angler_mjx.robot.vehicles.config import MAX_BODIES
 from angler_mjx.robot.vehicles.properties import compute_trim_rad
 from angler_mjx.robot.vehicles.thruster_config import ThrusterTable
 
@@ -93,7 +94,8 @@ def build_vehicle(
     size_m = _extent(capsules)
     if vehicle.size_m is not None:
         size_m = np.array(vehicle.size_m)
-    volume, center = _find_buoyancy(vehicle, base, shapes, water_density, notes)
+    parts = _find_buoyancy(vehicle, base, shapes, water_density, notes)
+    volume, center = _center(parts)
     _note_trim(center - base.center_of_mass_m, notes)
     trim_volume = volume
     arm = build_arm(vehicle, groups, notes)
@@ -108,6 +110,7 @@ def build_vehicle(
         "buoyancy": {
             "volume_m3": round_number(volume),
             "center_of_buoyancy_m": round_vector(center - base.center_of_mass_m),
+            **_build_bodies(vehicle, base, parts, notes),
             "source": source_of("volumes of", vehicle, base),
         },
         **_build_water(vehicle, base, size_m, volume, water_density, notes),
@@ -205,8 +208,8 @@ def _find_buoyancy(
     shapes: Sequence[tuple[Shape, np.ndarray]],
     density: float,
     notes: Notes,
-) -> tuple[float, np.ndarray]:
-    """Return the displaced volume and its centre [3] in the base frame."""
+) -> list[tuple[float, np.ndarray]]:
+    """Return the displaced volume of each part, and its centre [3] in the base frame."""
     parts = []
     for name, pose in base.poses.items():
         body = vehicle.bodies[name]
@@ -223,7 +226,7 @@ def _find_buoyancy(
                 )
             parts.append((body.volume_m3, (pose @ np.append(point, 1.0))[:3]))
     if sum(volume for volume, _ in parts) > 0:
-        return _center(parts)
+        return [part for part in parts if part[0] > 0]
     parts = [(shape.volume_m3, pose[:3, 3]) for shape, pose in shapes]
     locations = [shape.element.location for shape, _ in shapes]
     volume = sum(part for part, _ in parts)
@@ -235,7 +238,7 @@ def _find_buoyancy(
             f"{ratio:.4f} times the weight at {density:g} kg/m^3",
             *locations,
         )
-        return _center(parts)
+        return [_center(parts)]
     center = _center(parts)[1] if parts else base.center_of_mass_m
     reason = f"collision shapes displace {ratio:.3g} times the weight" if parts else "no volume"
     notes.add(
@@ -244,7 +247,43 @@ def _find_buoyancy(
         "centre of buoyancy: " + ("that of the shapes" if parts else "the centre of mass"),
         *locations,
     )
-    return base.mass_kg / density, center
+    return [(base.mass_kg / density, center)]
+
+
+def _build_bodies(
+    vehicle: ForeignVehicle,
+    base: Group,
+    parts: Sequence[tuple[float, np.ndarray]],
+    notes: Notes,
+) -> dict[str, Any]:
+    """Return the bodies of a hull where several links state volumes: each floats by itself."""
+    if len(parts) < 2:
+        return {}
+    water = [body.water for name in base.poses if (body := vehicle.bodies[name]).volume_m3]
+    where = [element.location for element in water if element is not None]
+    if len(parts) > MAX_BODIES:
+        notes.add(
+            "dropped",
+            f"the places of {len(parts)} volumes at the surface: the hull leaves the water as one "
+            f"body; {MAX_BODIES} are the most",
+            *where,
+        )
+        return {}
+    notes.add(
+        "assumed",
+        f"{len(parts)} volumes leave the water by themselves, each over the height of a ball",
+        *where,
+    )
+    return {
+        "bodies": [
+            {
+                "volume_m3": round_number(volume),
+                "center_m": round_vector(point - base.center_of_mass_m),
+                "height_m": round_number(float(np.cbrt(6.0 / np.pi * volume))),
+            }
+            for volume, point in parts
+        ]
+    }
 
 
 def _center(parts: Sequence[tuple[float, np.ndarray]]) -> tuple[float, np.ndarray]:

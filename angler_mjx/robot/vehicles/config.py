@@ -40,6 +40,11 @@ from angler_mjx.robot.vehicles.uncertainty import Uncertainty
 
 type Fraction = Annotated[float, Field(ge=0, le=1)]
 
+MAX_BODIES = 16
+"""Max number of bodies of a hull."""
+_BODY_TOLERANCE, _BODY_CENTER_M = 1e-3, 1e-3
+"""Differences of the bodies of a hull from its volume and its centre of buoyancy."""
+
 
 class Base(FileModel):
     """Position of the centre of mass in the base frame."""
@@ -181,6 +186,17 @@ class RigidBody(FileModel):
     source: Source
 
 
+class BuoyantBody(FileModel):
+    """Body of a hull, such as a float of a catamaran."""
+
+    volume_m3: Positive
+    """Displaced volume, fully submerged, m^3."""
+    center_m: Vector3
+    """[3] centre of that volume from the centre of mass, m."""
+    height_m: Positive
+    """Height over which its buoyancy fades from full to none as it leaves the water, m."""
+
+
 class Buoyancy(FileModel):
     """Displaced volume and its centre, from the centre of mass."""
 
@@ -188,7 +204,29 @@ class Buoyancy(FileModel):
     """Displaced volume, fully submerged, m^3."""
     center_of_buoyancy_m: Vector3
     """[3] centre of buoyancy from the centre of mass, m."""
+    bodies: Annotated[tuple[BuoyantBody, ...], Field(max_length=MAX_BODIES)] = ()
+    """Bodies that this volume is made of, each of which leaves the water by itself; left out, the
+    hull leaves it as one."""
     source: Source
+
+    @model_validator(mode="after")
+    def _check_bodies(self) -> Self:
+        if not self.bodies:
+            return self
+        volumes = np.array([body.volume_m3 for body in self.bodies])
+        total = float(volumes.sum())
+        if abs(total - self.volume_m3) > _BODY_TOLERANCE * self.volume_m3:
+            raise ValueError(
+                f"bodies displace {total:g} m^3 together, and volume_m3 is {self.volume_m3:g}; "
+                "make them equal"
+            )
+        center = volumes @ np.array([body.center_m for body in self.bodies]) / total
+        if np.abs(center - np.array(self.center_of_buoyancy_m)).max() > _BODY_CENTER_M:
+            raise ValueError(
+                f"the centre of the bodies is {[round(float(x), 6) for x in center]}, and "
+                f"center_of_buoyancy_m is {list(self.center_of_buoyancy_m)}; make them equal"
+            )
+        return self
 
 
 class AddedMass(FileModel):

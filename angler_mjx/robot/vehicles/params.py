@@ -22,6 +22,11 @@ from angler_mjx.robot.vehicles.damping import (
 )
 from angler_mjx.robot.vehicles.drive import wrench_matrix
 from angler_mjx.robot.vehicles.fins import FinParams, build_fins, pad_fins
+from angler_mjx.robot.vehicles.hull_bodies import (
+    HullBodies,
+    build_hull_bodies,
+    pad_hull_bodies,
+)
 from angler_mjx.robot.vehicles.link_hull import (
     LinkCapsules,
     build_link_capsules,
@@ -93,6 +98,9 @@ class VehicleParams:
     free_axes: jax.Array | None = None
     """[6] 1 for axes of nu that move, 0 for held ones; None where no vehicle of the fleet is
     planar."""
+    hull_bodies: HullBodies | None = None
+    """Bodies of the hull that leave the water by themselves; None where no vehicle of the fleet has
+    several."""
     fins: FinParams | None = None
     """Fins, in rows behind the thrusters; None where no vehicle of the fleet has any."""
     trim: TrimParams | None = None
@@ -172,6 +180,7 @@ def build_vehicle(
         thruster_health=_device_array(health),
         cross_damping=build_cross_damping(chosen.damping),
         free_axes=_device_array(_PLANAR_AXES) if config.planar else None,
+        hull_bodies=build_hull_bodies(chosen.buoyancy),
         fins=build_fins(config),
         trim=build_trim(config),
         links=build_links(config, parameter_set),
@@ -205,11 +214,15 @@ def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
     fins = pad_fins([v.fins for v in variants], [v.B.shape[1] for v in variants], n_t)
     trim = pad_trim([v.trim for v in variants], [v.B.shape[1] for v in variants], n_t)
     cross_damping = pad_cross_damping([v.cross_damping for v in variants])
+    hull_bodies = pad_hull_bodies(
+        [v.hull_bodies for v in variants], [v.hull_height_m for v in variants]
+    )
     padded = [
         replace(
             _pad_vehicle(robot, n_t, n_capsule),
             steered=steered,
             cross_damping=cross,
+            hull_bodies=bodies,
             free_axes=_pad_axes(robot) if is_held else None,
             tau_s=_pad_lags(robot, n_t) if has_lags else robot.tau_s,
             thrust_n=_spread_tables(robot.thrust_n, n_t) if has_curves else robot.thrust_n,
@@ -219,8 +232,8 @@ def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
             links=robot_links,
             link_capsules=capsules,
         )
-        for robot, cross, robot_fins, robot_trim, robot_links, capsules in zip(
-            variants, cross_damping, fins, trim, links, link_capsules, strict=True
+        for robot, cross, bodies, robot_fins, robot_trim, robot_links, capsules in zip(
+            variants, cross_damping, hull_bodies, fins, trim, links, link_capsules, strict=True
         )
     ]
     stacked: VehicleParams = jax.device_put(jax.tree.map(lambda *rows: np.stack(rows), *padded))

@@ -29,6 +29,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion, rigid_body, spd_solve
+from angler_kernels.hull_bodies import split_buoyancy
 from angler_mjx.robot.vehicles import damping
 from angler_mjx.robot.vehicles import link_motion as link_terms
 from angler_mjx.robot.vehicles.fins import fin_wrench
@@ -143,7 +144,7 @@ def base_wrench(
 ) -> jax.Array:
     """Wrench [6] of the water on the vehicle's own body; see `rigid_body.water_wrench`.
 
-    With damping between axes where the vehicle has any.
+    With damping between axes and with several bodies of the hull where the vehicle has them.
     """
     wrench = rigid_body.water_wrench(
         M_A=params.M_A,
@@ -160,6 +161,20 @@ def base_wrench(
         density=water.density_kgpm3,
         gravity=water.gravity_mps2,
     )
+    if params.hull_bodies is not None:
+        bodies = params.hull_bodies
+        wrench = wrench + split_buoyancy(
+            fraction=bodies.fraction,
+            offset=bodies.offset_m,
+            heights=bodies.height_m,
+            p_cb=params.p_cb_m,
+            height=params.hull_height_m,
+            z=p[2],
+            q=q,
+            Dv_c=Dv_c,
+            displaced=water.density_kgpm3 * params.volume_m3,
+            gravity=water.gravity_mps2,
+        )
     if params.cross_damping is None:
         return wrench
     v_r = nu[:3] - quaternion.rotate_inverse(q, v_c)

@@ -100,6 +100,42 @@ def test_damping_is_negated_and_volume_and_density_are_those_of_the_file(ray):
     assert fresh.noted("converted", "+2.800 kg there, +0.000 kg at 1000")
 
 
+def add_floats(text):
+    """Two floats above the base, each a link with a volume of its own."""
+    links, water = "", ""
+    for side, y in (("left", 0.3), ("right", -0.3)):
+        links += f"""<link name="ray/{side}"><inertial><mass value="2"/>
+            <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
+          <joint name="ray/{side}_joint" type="fixed"><origin xyz="0 {y} 0.2"/>
+            <parent link="ray/base_link"/><child link="ray/{side}"/></joint>"""
+        water += f"""<link name="ray/{side}"><volume>0.01</volume>
+            <center_of_buoyancy>0 0 0.1</center_of_buoyancy></link>"""
+    begin, end = (
+        '  <gazebo>\n    <plugin name="water"',
+        "    </plugin>\n  </gazebo>\n  <xacro:thruster",
+    )
+    assert begin in text
+    assert end in text
+    return text.replace(begin, links + begin).replace(end, water + end)
+
+
+def test_links_with_volumes_leave_the_water_by_themselves(ray):
+    made = ray(add_floats)
+    buoyancy = made.numbers["buoyancy"]
+    assert buoyancy["volume_m3"] == pytest.approx(0.12)
+    center = np.array(made.table["base"]["center_of_mass_m"])
+    np.testing.assert_allclose(center, [0.0, 0.0, 2 * 2 * 0.2 / 104], atol=1e-5)
+    base, left, right = buoyancy["bodies"]
+    np.testing.assert_allclose(base["center_m"], np.array([0.01, 0.02, 0.05]) - center, atol=1e-5)
+    np.testing.assert_allclose(left["center_m"], np.array([0.0, 0.3, 0.3]) - center, atol=1e-5)
+    np.testing.assert_allclose(right["center_m"], np.array([0.0, -0.3, 0.3]) - center, atol=1e-5)
+    assert [body["volume_m3"] for body in (base, left, right)] == [0.1, 0.01, 0.01]
+    # 10 l are a ball of 0.267 m.
+    assert left["height_m"] == pytest.approx(0.2673, abs=1e-4)
+    assert made.noted("assumed", "3 volumes leave the water by themselves")
+    assert "bodies" not in ray().numbers["buoyancy"]
+
+
 def full_damping(coupling):
     """Change the linear damping to a matrix with surge by heave, and quadratic sway by yaw."""
     linear, quadratic = (

@@ -1,4 +1,4 @@
-"""Gliders in both engines and in kernels, in a current, in float64."""
+"""Gliders in both engines and in kernels, in a current, in float64; hulls of two bodies."""
 
 from dataclasses import replace
 from functools import partial
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.robot.control import stages
+from angler_mjx.robot.vehicles import library
 from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.sim.physics.step import Water
@@ -23,13 +24,28 @@ TANK, ALONG, ASIDE = 0, 1, 2
 
 
 @pytest.fixture(scope="module")
-def scene(scenes):
+def split_glider(tmp_path_factory):
+    """File of a glider with a hull of two bodies, which bear as one except at the surface."""
+    text = library.locate_vehicle("seawing").read_text(encoding="utf-8")
+    center = "center_of_buoyancy_m = [0.0, 0.0, 0.00502]\n"
+    assert center in text
+    bodies = ", ".join(
+        f"{{ volume_m3 = 0.0318439, center_m = [{x}, {y}, 0.00502], height_m = {height} }}"
+        for x, y, height in ((0.8, 0.1, 0.2), (-0.8, -0.1, 0.3))
+    )
+    path = tmp_path_factory.mktemp("vehicle") / "split.toml"
+    path.write_text(text.replace(center, f"{center}bodies = [{bodies}]\n"), encoding="utf-8")
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def scene(scenes, split_glider):
     build, _, obstacles = scenes
     kinds = [
         Variant(vehicle=vehicle, parameter_set=chosen, battery_v=16.0)
         for vehicle, chosen in (
             ("seawing", "zhang2013"),
-            ("seawing", "zhang2013"),
+            (split_glider, "zhang2013"),
         )
     ]
     members = [Member(variants=(kind,), weights=(1.0,), cruise_speed_mps=0.3) for kind in kinds]
@@ -97,13 +113,14 @@ def test_pumps_and_moving_masses_take_their_power(ends):
 
 
 def test_the_kernels_of_a_gpu_glide_the_same(scene, engines_by_name):
-    """One control step with way on and the masses aside, of kernels that are interpreted."""
+    """One control step at the surface with way on and the masses aside, kernels interpreted."""
     with jax.enable_x64(True):
         fused = engines_by_name["fused"]
         start = quickly(partial(fused.reset, scene.spec))(scene.fleet, scene.worlds)
         moved = jnp.array([3e-4, 0.02, -0.01])
         vehicles = replace(
             start.vehicles,
+            p=start.vehicles.p.at[..., 2].set(-0.04),
             nu=start.vehicles.nu.at[..., 0].set(0.4),
             thrust=start.vehicles.thrust.at[:, jnp.array(GLIDERS), :3].set(moved),
         )
