@@ -12,7 +12,7 @@ from typing import Any
 from angler_mjx.errors import AnglerError
 from angler_mjx.files import FaultyError, parse_model, validate_model
 from angler_mjx.report.interop import joint_trajectory_file
-from angler_mjx.report.interop.mission_files.import_mission import import_mission
+from angler_mjx.report.interop.mission_files.import_mission import import_missions
 from angler_mjx.robot.importing.import_vehicle import import_vehicle
 from angler_mjx.robot.vehicles import library, mjcf
 from angler_mjx.robot.vehicles.thrusters import tables_at
@@ -301,7 +301,7 @@ READERS = {
         Reader(
             "mission",
             ((ROOT / "docs/examples/dive.plan").read_bytes(), WAYPOINTS),
-            lambda path: import_mission(path),
+            lambda path: import_missions([path]),
             ".plan",
         ),
         Reader(
