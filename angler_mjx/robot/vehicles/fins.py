@@ -6,14 +6,15 @@ deflection, rad, where theirs is a thrust. Vehicles without fins have programs w
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import fin as fin_kernel
+from angler_mjx.robot.vehicles.actuator_rows import pad_fleet, pad_rows, put_columns
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.thrusters import PWM_HIGH_US, PWM_LOW_US, FloatArray
 
@@ -95,15 +96,9 @@ def build_fins(config: VehicleConfig) -> FinParams | None:
         "rate_radps": np.array([fin.rate_radps for fin in layout]),
         "tau_s": np.array([fin.time_constant_s for fin in layout]),
     }
-    dtype = jnp.result_type(float)
-    made = FinParams(
-        **{
-            name: jnp.asarray(x if x.dtype == bool else np.asarray(x, dtype))
-            for name, x in columns.items()
-        }
-    )
+    made = FinParams(**put_columns(columns))
     behind = len(config.actuator_names) - n_thruster - len(layout)
-    return _pad_rows(made, n_thruster, behind)
+    return pad_rows(made, n_thruster, behind, _FILL)
 
 
 def pad_fins(
@@ -116,23 +111,7 @@ def pad_fins(
         rows: actuators of each vehicle.
         n: rows of all.
     """
-    first = next((part for part in parts if part is not None), None)
-    if first is None:
-        return list(parts)
-    blank: FinParams = jax.tree.map(lambda leaf: np.asarray(leaf)[:0], first)
-    return [
-        _pad_rows(blank, n, 0) if part is None else _pad_rows(part, 0, n - count)
-        for part, count in zip(parts, rows, strict=True)
-    ]
-
-
-def _pad_rows(fins: FinParams, before: int, after: int) -> FinParams:
-    def pad(name: str) -> Any:
-        leaf = np.asarray(getattr(fins, name))
-        width = [(before, after)] + [(0, 0)] * (leaf.ndim - 1)
-        return np.pad(leaf, width, constant_values=np.asarray(_FILL.get(name, 0), leaf.dtype))
-
-    return FinParams(**{entry.name: pad(entry.name) for entry in fields(fins)})
+    return pad_fleet(parts, rows, n, _FILL)
 
 
 def fin_wrench(fins: FinParams, states: jax.Array, nu_r: jax.Array, density: float) -> jax.Array:

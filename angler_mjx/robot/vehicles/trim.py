@@ -6,14 +6,15 @@ Vehicles without them have programs without them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import moved_mass
+from angler_mjx.robot.vehicles.actuator_rows import pad_fleet, pad_rows, put_columns
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.fins import HALF_RANGE_US, NEUTRAL_US
 from angler_mjx.robot.vehicles.trim_config import MovingMass, Tank
@@ -69,14 +70,8 @@ def build_trim(config: VehicleConfig) -> TrimParams | None:
         "tau_s": np.array([item.time_constant_s for item in items]),
         "power_w": np.array([item.power_w for item in items]),
     }
-    dtype = jnp.result_type(float)
-    made = TrimParams(
-        **{
-            name: jnp.asarray(x if x.dtype == bool else np.asarray(x, dtype))
-            for name, x in columns.items()
-        }
-    )
-    return _pad_rows(made, len(config.actuator_names) - n, 0)
+    made = TrimParams(**put_columns(columns))
+    return pad_rows(made, len(config.actuator_names) - n, 0, _FILL)
 
 
 def pad_trim(
@@ -89,23 +84,7 @@ def pad_trim(
         rows: actuators of each vehicle.
         n: rows of all.
     """
-    first = next((part for part in parts if part is not None), None)
-    if first is None:
-        return list(parts)
-    blank: TrimParams = jax.tree.map(lambda leaf: np.asarray(leaf)[:0], first)
-    return [
-        _pad_rows(blank, n, 0) if part is None else _pad_rows(part, 0, n - count)
-        for part, count in zip(parts, rows, strict=True)
-    ]
-
-
-def _pad_rows(trim: TrimParams, before: int, after: int) -> TrimParams:
-    def pad(name: str) -> Any:
-        leaf = np.asarray(getattr(trim, name))
-        width = [(before, after)] + [(0, 0)] * (leaf.ndim - 1)
-        return np.pad(leaf, width, constant_values=np.asarray(_FILL.get(name, 0), leaf.dtype))
-
-    return TrimParams(**{entry.name: pad(entry.name) for entry in fields(trim)})
+    return pad_fleet(parts, rows, n, _FILL)
 
 
 class TrimChange(NamedTuple):

@@ -15,6 +15,7 @@ from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.sim.physics.step import Water
 
 from ...compiling import quickly
+from .flying import fly_steps
 
 STEPS = 60
 """Three seconds."""
@@ -64,22 +65,7 @@ def scene(scenes, split_glider):
 
 @pytest.fixture(scope="module")
 def ends(scene, engines_by_name):
-    made = {}
-    for name, engine in engines_by_name.items():
-        with jax.enable_x64(True):
-            start = quickly(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
-            start = jax.device_get(start)
-
-            @quickly
-            def some(kinds, worlds, state, engine=engine):
-                def one(state, _):
-                    after, sample = engine.control_step(scene.spec, kinds, worlds, state, None)
-                    return after, sample.pwm_us
-
-                return jax.lax.scan(one, state, length=STEPS)
-
-            made[name] = jax.device_get(some(scene.fleet, scene.worlds, start))
-    return made
+    return {name: fly_steps(engine, scene, STEPS) for name, engine in engines_by_name.items()}
 
 
 def test_both_engines_glide_the_same(ends):

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +11,7 @@ import pytest
 from angler_mjx.robot.vehicles import library
 from angler_mjx.sim.fleet import Member, Variant
 
-from ...compiling import quickly
+from .flying import fly_steps
 
 STEPS = 40
 CURVE = "curve = { pwm_us = [1100, 1480, 1520, 1900], thrust_n = [-9.0, 0.0, 0.0, 14.0] }"
@@ -48,22 +47,7 @@ def scene(scenes, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def ends(scene, engines_by_name):
-    made = {}
-    for name, engine in engines_by_name.items():
-        with jax.enable_x64(True):
-            start = quickly(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
-            start = jax.device_get(start)
-
-            @quickly
-            def fly(kinds, worlds, state, engine=engine):
-                def advance(state, _):
-                    after, sample = engine.control_step(scene.spec, kinds, worlds, state, None)
-                    return after, sample.pwm_us
-
-                return jax.lax.scan(advance, state, length=STEPS)
-
-            made[name] = jax.device_get(fly(scene.fleet, scene.worlds, start))
-    return made
+    return {name: fly_steps(engine, scene, STEPS) for name, engine in engines_by_name.items()}
 
 
 def test_both_engines_fly_the_same(ends):
