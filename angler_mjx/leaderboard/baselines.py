@@ -102,11 +102,18 @@ def make_baselines(
     """
     benchmark, manifest = problem_sets.load_benchmark(), problem_files.public_manifest()
     for baseline in baselines:
-        entries = [
-            entry
-            for entry in problem_sets.select_problem_sets(benchmark, sets)
-            if _can_enter(baseline, benchmark, entry, manifest)
-        ]
+        chosen = problem_sets.select_problem_sets(benchmark, sets)
+        refusals = {
+            entry.name: reason
+            for entry in chosen
+            if (reason := _find_refusal(baseline, benchmark, entry, manifest))
+        }
+        entries = [entry for entry in chosen if entry.name not in refusals]
+        if refusals:
+            first = next(iter(refusals.values()))
+            progress.report(
+                f"{baseline.name} does not enter {len(refusals)} of {len(chosen)} sets: {first}"
+            )
         parts = {
             entry.robots: [e for e in entries if e.robots == entry.robots] for entry in entries
         }
@@ -119,19 +126,19 @@ def make_baselines(
             yield _store_result(baseline, out, store)
 
 
-def _can_enter(
+def _find_refusal(
     baseline: Baseline, benchmark: FrozenBenchmark, entry: ProblemSet, manifest: ProblemManifest
-) -> bool:
-    """Whether a planner accepts the problems of a set at any level; policies accept all."""
+) -> str:
+    """Return why a planner takes the problems of a set at no level; policies take all."""
     if baseline.in_flight:
-        return True
+        return ""
     attempt = manifest.find(entry.name).attempt
     scenario = problem_files.build_set_scenario(benchmark, entry, attempt, problem_sets.PUBLIC)
     try:
         checking.build_planned_scenario(scenario, {"name": baseline.name}, "baselines")
-    except ConfigError:
-        return False
-    return True
+    except ConfigError as error:
+        return str(error)
+    return ""
 
 
 def _make_part(

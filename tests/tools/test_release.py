@@ -251,7 +251,7 @@ def test_seconds_are_those_of_the_clock_and_of_processors(tmp_path):
     assert 0.5 <= done.cpu_seconds < 1.4
 
 
-def test_a_failed_process_is_told_with_its_output(tmp_path):
+def test_a_failed_process_is_reported_with_its_output(tmp_path):
     words = [sys.executable, "-c", "import sys; print('why'); sys.exit(3)"]
     with pytest.raises(ReleaseError, match=r"exit status 3\nwhy"):
         run_process(words, tmp_path, clean_environment(tmp_path / "home"))

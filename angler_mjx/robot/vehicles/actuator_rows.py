@@ -1,12 +1,15 @@
 """Arrays with a row of each actuator of a vehicle, filled up where others stand."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
-from typing import Any
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 
 def put_columns(columns: Mapping[str, np.ndarray]) -> dict[str, jax.Array]:
@@ -18,7 +21,9 @@ def put_columns(columns: Mapping[str, np.ndarray]) -> dict[str, jax.Array]:
     }
 
 
-def pad_rows[Rows](table: Rows, before: int, after: int, fill: Mapping[str, float]) -> Rows:
+def pad_rows[Rows: DataclassInstance](
+    table: Rows, before: int, after: int, fill: Mapping[str, float]
+) -> Rows:
     """Return a dataclass of arrays [n, ...] with more rows.
 
     Args:
@@ -28,15 +33,15 @@ def pad_rows[Rows](table: Rows, before: int, after: int, fill: Mapping[str, floa
         fill: values of these rows by name of the field; 0 if left out.
     """
     padded: dict[str, Any] = {}
-    for entry in fields(table):  # type: ignore[arg-type]
+    for entry in fields(table):
         leaf = np.asarray(getattr(table, entry.name))
         width = [(before, after)] + [(0, 0)] * (leaf.ndim - 1)
         value = np.asarray(fill.get(entry.name, 0), leaf.dtype)
         padded[entry.name] = np.pad(leaf, width, constant_values=value)
-    return type(table)(**padded)
+    return replace(table, **padded)
 
 
-def pad_fleet[Rows](
+def pad_fleet[Rows: DataclassInstance](
     parts: Sequence[Rows | None], rows: Sequence[int], n: int, fill: Mapping[str, float]
 ) -> list[Rows | None]:
     """Return the tables of the vehicles of a fleet, each with ``n`` rows; None without any.

@@ -26,6 +26,20 @@ def test_an_unknown_baseline_is_refused():
         baselines.select_baselines(["nobody"])
 
 
+def test_sets_that_a_planner_does_not_take_are_named_with_the_reason(tmp_path):
+    said = []
+    progress = Progress()
+    progress.report = said.append
+    nobody = [baselines.Baseline(name="nobody")]
+    made = baselines.make_baselines(
+        nobody, tmp_path, tmp_path / "store", progress, sets=("open-still-known-01",)
+    )
+    assert list(made) == []
+    (line,) = said
+    assert line.startswith("nobody does not enter 1 of 1 sets: open-still-known-01: ")
+    assert "'nobody'" in line
+
+
 def part(name, *sets, **more):
     rows = [row(entry, int(entry[-2:])) for entry in sets]
     table = result(name, rows=rows, planned_on={"machine": "A Core", "factor": 1.0})

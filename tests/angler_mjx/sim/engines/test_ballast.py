@@ -15,7 +15,7 @@ from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.sim.physics.step import Water
 
 from ...compiling import quickly
-from .flying import fly_steps
+from .flying import assert_same_flight, fly_steps
 
 STEPS = 60
 """Three seconds."""
@@ -69,13 +69,7 @@ def ends(scene, engines_by_name):
 
 
 def test_both_engines_glide_the_same(ends):
-    (ours, pwm), (theirs, other_pwm) = ends["fused"], ends["mjx"]
-    np.testing.assert_allclose(pwm, other_pwm, rtol=1e-9, atol=1e-7)
-    for name in ("p", "q", "nu", "thrust"):
-        np.testing.assert_allclose(
-            getattr(ours.vehicles, name), getattr(theirs.vehicles, name), rtol=1e-9, atol=1e-9
-        )
-    np.testing.assert_allclose(ours.tally.energy_j, theirs.tally.energy_j, rtol=1e-9)
+    assert_same_flight(ends)
 
 
 def test_tanks_and_masses_move_at_their_rates(ends):

@@ -13,7 +13,7 @@ from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.fleet import Member, Variant
 
 from ...compiling import quickly
-from .flying import fly_steps
+from .flying import assert_same_flight, fly_steps
 
 STEPS = 60
 """Three seconds."""
@@ -47,12 +47,7 @@ def ends(scene, engines_by_name):
 
 
 def test_both_engines_fly_the_same(ends):
-    (ours, pwm), (theirs, other_pwm) = ends["fused"], ends["mjx"]
-    np.testing.assert_allclose(pwm, other_pwm, rtol=1e-9, atol=1e-7)
-    for name in ("p", "q", "nu", "thrust"):
-        np.testing.assert_allclose(
-            getattr(ours.vehicles, name), getattr(theirs.vehicles, name), rtol=1e-9, atol=1e-9
-        )
+    assert_same_flight(ends)
 
 
 def test_fins_move_within_their_limits_and_rovs_have_none(ends):

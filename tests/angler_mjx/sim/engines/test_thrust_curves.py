@@ -11,7 +11,7 @@ import pytest
 from angler_mjx.robot.vehicles import library
 from angler_mjx.sim.fleet import Member, Variant
 
-from .flying import fly_steps
+from .flying import assert_same_flight, fly_steps
 
 STEPS = 40
 CURVE = "curve = { pwm_us = [1100, 1480, 1520, 1900], thrust_n = [-9.0, 0.0, 0.0, 14.0] }"
@@ -51,13 +51,7 @@ def ends(scene, engines_by_name):
 
 
 def test_both_engines_fly_the_same(ends):
-    (ours, pwm), (theirs, other_pwm) = ends["fused"], ends["mjx"]
-    np.testing.assert_allclose(pwm, other_pwm, rtol=1e-9, atol=1e-7)
-    for name in ("p", "q", "nu", "thrust"):
-        np.testing.assert_allclose(
-            getattr(ours.vehicles, name), getattr(theirs.vehicles, name), rtol=1e-9, atol=1e-9
-        )
-    np.testing.assert_allclose(ours.tally.energy_j, theirs.tally.energy_j, rtol=1e-9)
+    assert_same_flight(ends)
 
 
 def test_a_thruster_follows_its_curve(ends, scene):
