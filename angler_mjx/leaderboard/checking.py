@@ -5,7 +5,7 @@ plan, without its trajectories unless they are to be kept.
 """
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -29,6 +29,7 @@ from angler_mjx.runs.resumable_folder import open_folder
 from angler_mjx.runs.simulator.world_preparation import check_planner
 from angler_mjx.runs.storage import checksums, folder
 from angler_mjx.runs.storage.atomic_files import write_json
+from angler_mjx.runs.storage.parallel import cpu_count, map_in_order, open_processes
 from angler_mjx.runs.storage.read_errors import read_table
 from angler_mjx.scenario.editing import scenario_table
 from angler_mjx.scenario.scenario import Scenario
@@ -40,6 +41,8 @@ NO_PATH = "no path"
 """What is said of a robot without a path whose file says nothing more."""
 LEVELS = ("nothing", "observed", "predicted", "truth")
 """Information levels, the least first."""
+ROBOTS_PER_PROCESS = 32
+"""Judged flights that are worth a further process: it takes some seconds to start."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -318,33 +321,41 @@ def limit_information(
 def _judge_sets(
     checked: Sequence[CheckedSet], building: Path, progress: Progress
 ) -> list[ProblemScore]:
-    """Have the referee recompute all flights, and score them."""
+    """Have the referee recompute all flights, in processes side by side, and score them."""
     scores: list[ProblemScore] = []
+    flown = [one for one in checked if one.flies]
+    robots = sum(one.entry.problems * one.entry.robots for one in flown)
+    worlds = [(building / one.run, world) for one in flown for world in range(one.entry.problems)]
     progress.start(sum(one.entry.problems for one in checked), unit="problems judged")
-    for one in checked:
-        progress.describe(f"judging {one.entry.name}")
-        if one.flies:
-            scores += _judge_flown(one, building / one.run)
-        else:
-            scores += [_unflown_score(one, world) for world in range(one.entry.problems)]
-        progress.advance(one.entry.problems)
+    with open_processes(min(cpu_count(), robots // ROBOTS_PER_PROCESS), __name__) as pool:
+        faults = map_in_order(_judge_world, worlds, pool)
+        for one in checked:
+            progress.describe(f"judging {one.entry.name}")
+            if one.flies:
+                scores += _judge_flown(one, building / one.run, faults, progress)
+            else:
+                scores += [_unflown_score(one, world) for world in range(one.entry.problems)]
+                progress.advance(one.entry.problems)
     return scores
 
 
-def _judge_flown(one: CheckedSet, path: Path) -> list[ProblemScore]:
-    run = folder.Run(path)
-    faults = {world: _judge_world(path, world) for world in range(one.entry.problems)}
+def _judge_flown(
+    one: CheckedSet, path: Path, faults: Iterator[str], progress: Progress
+) -> list[ProblemScore]:
+    """Score the worlds of a set; the next verdicts of the referee are those on them."""
     by_world: dict[int, list[dict[str, Any]]] = {}
-    for row in run.episodes.to_pylist():
+    for row in folder.Run(path).episodes.to_pylist():
         by_world.setdefault(row["world"], []).append(row)
-    return [
-        _flown_score(one, world, by_world[world], faults[world])
-        for world in range(one.entry.problems)
-    ]
+    scores = []
+    for world in range(one.entry.problems):
+        scores.append(_flown_score(one, world, by_world[world], next(faults)))
+        progress.advance(1)
+    return scores
 
 
-def _judge_world(path: Path, world: int) -> str:
+def _judge_world(judged: tuple[Path, int]) -> str:
     """Return why the referee does not confirm the flights of a world; empty if it does."""
+    path, world = judged
     verdict = referee.judge(path, [world])
     for finding in verdict.differences:
         if finding.result == "disagrees":

@@ -77,7 +77,7 @@ def plan_submission(
         "authors": [],
         "description": f"planner {json.dumps(dict(planner))}",
         "kind": "plans",
-        "machine": processor_name(),
+        "machine": _name_machine(planner),
         "sets": list(sets),
     }
     factor = _write_card(out / submission.CARD, card, planner)
@@ -146,10 +146,16 @@ def _write_card(path: Path, card: dict[str, Any], planner: Mapping[str, object])
 
 def _measure_factor(planner: Mapping[str, object]) -> float:
     """Return the factor of this machine; 1 for planners on an accelerator."""
-    on_device = register.find(str(planner["name"])).on_device
-    if on_device and jax.default_backend() != "cpu":
-        return 1.0
-    return graph_search.measure_time_factor()
+    return 1.0 if _uses_accelerator(planner) else graph_search.measure_time_factor()
+
+
+def _name_machine(planner: Mapping[str, object]) -> str:
+    """Return the name of the accelerator or processor that plans."""
+    return jax.devices()[0].device_kind if _uses_accelerator(planner) else processor_name()
+
+
+def _uses_accelerator(planner: Mapping[str, object]) -> bool:
+    return register.find(str(planner["name"])).on_device and jax.default_backend() != "cpu"
 
 
 def _plan_sets(parts: Sequence[SetToPlan], workers: int | None) -> Iterator[SetToPlan]:

@@ -96,7 +96,8 @@ def map_in_order[T, R](
             yield pending.popleft().result()
     except BrokenProcessPool as error:
         raise RunError(
-            "a reading process was killed, perhaps for lack of memory; give fewer --workers"
+            "a process of the pool was killed, perhaps for lack of memory; free some of it, or use "
+            "fewer processes"
         ) from error
     finally:
         for future in pending:

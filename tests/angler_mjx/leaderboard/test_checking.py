@@ -20,14 +20,16 @@ NAME, MISSING = "open-still-known-01", "open-ocean-known-01"
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory, problems, manifest):
-    """One straight line, one with NaN, and a set that is entered without a file."""
+    """One straight line, one with NaN, and a set without a file, judged in two processes."""
     folder = tmp_path_factory.mktemp("submission")
     write_card(folder, [NAME, MISSING])
     arrays, attributes = straight_lines(problems, NAME)
     arrays["position_m"][1, 0, 1, 2] = np.nan
     write_plans(folder, NAME, arrays, attributes)
     out = tmp_path_factory.mktemp("checks") / "check"
-    assert checking.check_submission(folder, out, Progress(), manifest=manifest)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(checking, "ROBOTS_PER_PROCESS", 1)
+        assert checking.check_submission(folder, out, Progress(), manifest=manifest)
     return out
 
 
@@ -74,6 +76,23 @@ def test_a_result_says_what_was_judged_and_keeps_no_trajectories(result, manifes
     assert not list(result.glob("runs/*/trajectories.zarr"))
     assert (result / "card.toml").exists()
     assert not (result / "answers").exists()
+
+
+def test_each_world_gets_the_verdict_on_its_flights(result, monkeypatch, benchmark, sets):
+    """A set that is not flown has none."""
+    monkeypatch.setattr(checking, "_judge_world", lambda judged: f"{judged[0].name} {judged[1]}")
+    empty = empty_rows(sets[MISSING], "missing")
+    checked = [
+        checking.CheckedSet(
+            entry=sets[name],
+            scenario=problem_sets.build_scenario(benchmark, sets[name], 1),
+            rows=rows,
+            bound_s=(60.0, 60.0),
+        )
+        for name, rows in ((MISSING, empty), (NAME, None))
+    ]
+    reasons = [score.reason for score in checking._judge_sets(checked, result, Progress())]
+    assert reasons == ["missing", "missing", f"{NAME} 0", f"{NAME} 1"]
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """Cards that the plan command writes, and finds again."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from angler_mjx.errors import ConfigError
@@ -34,9 +36,13 @@ def test_a_card_has_the_factor_of_its_machine_and_keeps_it(tmp_path, monkeypatch
         entering._write_card(path, card | {"name": "b", "sets": []}, {"name": "RRTConnect"})
 
 
-def test_planners_on_an_accelerator_are_not_scaled(tmp_path, monkeypatch, card):
+def test_planners_on_an_accelerator_are_named_and_not_scaled(tmp_path, monkeypatch, card):
     monkeypatch.setattr(graph_search, "measure_time_factor", lambda: 2.0)
     monkeypatch.setattr(entering.jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(entering.jax, "devices", lambda: [SimpleNamespace(device_kind="A Card")])
+    monkeypatch.setattr(entering, "processor_name", lambda: "A Core")
+    machines = [entering._name_machine({"name": name}) for name in ("priority", "RRTConnect")]
+    assert machines == ["A Card", "A Core"]
     factors = [
         entering._write_card(tmp_path / f"{name}.toml", card, {"name": name})
         for name in ("priority", "RRTConnect")

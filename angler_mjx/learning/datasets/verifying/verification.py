@@ -26,7 +26,7 @@ def verify_dataset(
 
     Raises:
         ConfigError: the manifest is missing or damaged.
-        RunError: a reading process was killed.
+        RunError: a process of the pool was killed.
     """
     dataset_manifest = manifest.read_manifest(root)
     checks = _check_files_and_values(root, dataset_manifest, progress, workers)

@@ -45,7 +45,7 @@ def test_few_arguments_are_taken_ahead_and_none_after_an_end(monkeypatch):
 
 
 def test_a_killed_process_is_said():
-    killed = pytest.raises(RunError, match="a reading process was killed")
+    killed = pytest.raises(RunError, match="a process of the pool was killed")
     with parallel.open_processes(2, "math") as pool, killed:
         list(parallel.map_in_order(os._exit, [1], pool))
 
