@@ -176,6 +176,8 @@ def test_a_fault_names_file_line_and_remedy(expand, fault):
         "'a'.format(1)",
         "'%s' % 1",
         "9 ** 9 ** 9",
+        "2 ** 3000 * 2 ** 1001",
+        "2 ** 3999 + 2 ** 3999 + 2 ** 3999",
         "'a' * 10 ** 9",
         "[0] * 10 ** 9",
         "range(10 ** 9)",
@@ -191,6 +193,11 @@ def test_expressions_reach_nothing_and_stay_small(text):
     with pytest.raises(expressions.ExpressionError):
         expressions.evaluate(text, {}.__getitem__, {})
     assert time.monotonic() - start < 1
+
+
+def test_numbers_may_have_4000_binary_digits():
+    value = expressions.evaluate("2 ** 1999 * 2 ** 2000", {}.__getitem__, {})
+    assert value == 1 << 3999
 
 
 def test_macros_that_multiply_are_stopped(expand):
