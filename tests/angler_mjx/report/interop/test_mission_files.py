@@ -200,6 +200,12 @@ def test_a_heading_holds_for_one_leg(write):
     assert points[-1].positions[3] % (2 * math.pi) == pytest.approx(0.0, abs=1e-9)
 
 
+def test_a_vertical_leg_keeps_the_heading(write):
+    imported = import_mission(write(plan([waypoint(2, 0, -4), waypoint(2, 0, -7)])))
+    points = imported.planned.goal.points
+    np.testing.assert_allclose([point.positions[3] for point in points], math.pi / 2, atol=1e-6)
+
+
 def test_home_and_the_surface_end_below_it(write):
     returning = item(20, [0] * 7, frame=2)
     landing = item(21, [0, 0, 0, 0, 0, 0, 0])
@@ -504,6 +510,21 @@ def test_a_fault_of_a_line_is_one_message_with_its_number_and_remedy(write, name
         assert part in message
 
 
+def test_a_file_that_is_not_there_is_one_message(tmp_path):
+    with pytest.raises(ConfigError, match=r"gone\.plan: cannot be read"):
+        import_mission(tmp_path / "gone.plan")
+
+
+def test_horizons_are_a_day_at_most(write):
+    leg_s = import_mission(write(plan([waypoint(1, 0, -4)]))).planned.duration_s
+    # Twice the plan and a minute.
+    hold_s = (86_400 - 60) / 2 - leg_s
+    longest = import_mission(write(plan([waypoint(1, 0, -4, hold=hold_s - 0.1)])))
+    assert longest.scenario.time.horizon_s == 86_400
+    with pytest.raises(ConfigError, match="86400 s at most"):
+        import_mission(write(plan([waypoint(1, 0, -4, hold=hold_s + 0.1)])))
+
+
 def test_a_mission_without_home_needs_an_origin(write):
     path = write(plan([waypoint(1, 0, -4)], plannedHomePosition=None))
     with pytest.raises(ConfigError, match="--origin"):
@@ -576,6 +597,26 @@ def test_parameters_of_the_vehicle_count():
     assert (limits.speed_mps, limits.jerk_mps3, limits.radius_m) == (0.4, 0.5, 1.0)
     with pytest.raises(ConfigError, match="WPNAV_SPEED = 0"):
         read_limits({"WPNAV_SPEED": 0.0}, VehicleLimits())
+
+
+def test_parameters_have_the_units_of_ardusub():
+    """cm/s, cm/s^2, m/s^3, cm and degrees a second, as in ArduPilot's list of parameters."""
+    read = {
+        "WPNAV_SPEED": 40.0,
+        "WPNAV_SPEED_UP": 30.0,
+        "WPNAV_SPEED_DN": 20.0,
+        "WPNAV_ACCEL": 150.0,
+        "WPNAV_ACCEL_Z": 70.0,
+        "WPNAV_JERK": 0.5,
+        "WPNAV_RADIUS": 120.0,
+        "CIRCLE_RADIUS": 800.0,
+        "CIRCLE_RATE": -3.0,
+    }
+    limits = read_limits(read, VehicleLimits())
+    assert (limits.speed_mps, limits.speed_up_mps, limits.speed_down_mps) == (0.4, 0.3, 0.2)
+    assert (limits.acceleration_mps2, limits.acceleration_z_mps2) == pytest.approx((1.5, 0.7))
+    assert (limits.jerk_mps3, limits.radius_m, limits.circle_radius_m) == (0.5, 1.2, 8.0)
+    assert limits.circle_rate_radps == pytest.approx(math.pi / 60)
 
 
 @pytest.mark.parametrize("text", ["WPNAV_SPEED,25\n", "1\t1\tWPNAV_SPEED\t25.0\t9\n"])
@@ -674,6 +715,22 @@ def test_exported_files_are_read_by_others(tmp_path):
     assert table["fileType"] == "Plan"
     assert {entry["type"] for entry in table["mission"]["items"]} == {"SimpleItem"}
     assert all(len(entry["params"]) == 7 for entry in table["mission"]["items"])
+
+
+@pytest.mark.parametrize(("east_m", "count"), [(0.9, 1), (-0.9, 1), (1.1, 2)])
+def test_a_start_within_a_metre_of_home_is_no_waypoint(east_m, count):
+    position_m = np.array([[east_m, 0.0, -2.0], [20.0, 0.0, -2.0]])
+    origin = exporting.GeodeticOrigin(latitude_deg=HOME[0], longitude_deg=HOME[1])
+    waypoints = exporting.build_waypoints(np.array([0.0, 60.0]), position_m)
+    commands = [entry.command for entry in exporting.build_items(waypoints, origin)]
+    assert commands.count(16) == count
+
+
+def test_speeds_of_exports_are_horizontal_and_vertical_legs_have_none():
+    position_m = np.array([[0.0, 0, -2], [6, 0, -10], [6, 0, -2]])
+    _, slope, rise = exporting.build_waypoints(np.array([0.0, 20.0, 40.0]), position_m)
+    assert slope.speed_mps == pytest.approx(0.3)
+    assert rise.speed_mps is None
 
 
 def test_a_trajectory_that_begins_late_rests_at_its_first_point(write):

@@ -69,6 +69,12 @@ def test_bodies_and_thrusters(seal):
     assert made.noted("dropped", "reaction torque")
 
 
+def test_masses_by_mujoco_are_listed_with_their_bodies(seal):
+    (note,) = seal().noted("converted", "bodies without <inertial>")
+    assert note.endswith(f"seal.xml:{line_of(FILE, 'name="lead"')}]")
+    assert note.count("seal.xml") == 1
+
+
 @pytest.mark.parametrize(
     ("more", "direction", "ends"),
     [

@@ -106,6 +106,29 @@ def test_visuals_below_a_millimetre_are_listed(bring):
     assert len(made.noted("dropped", "visual shapes below 1 mm")) == 1
 
 
+def test_visual_boxes_lie_along_the_axes(bring):
+    box = "<visual><origin rpy='{}'/><geometry><box size='0.1 0.2 0.3'/></geometry></visual>"
+    turns = ("0 0 0", "0 0 1.5707963267948966", "0.3 0 0", "0 0.01 0")
+    link = f"<link name='boxes'>{''.join(map(box.format, turns))}</link>"
+    joint = (
+        """<joint name="f" type="fixed"><parent link="base_link"/><child link="boxes"/></joint>"""
+    )
+    made = bring(robot(link, joint))
+    sizes = [shape["size_m"] for shape in made.table["visual"]["shapes"]]
+    # The last is turned by half a degree: its edges differ from the axes by 5e-5.
+    np.testing.assert_allclose(sizes, [[0.1, 0.2, 0.3], [0.2, 0.1, 0.3], [0.1, 0.2, 0.3]])
+    assert len(made.noted("dropped", "visual boxes that are turned")) == 1
+
+
+def test_a_hull_without_shapes_is_a_ball_of_its_weight(bring):
+    text = robot().replace('<box size="0.4 0.3 0.1"/>', '<sphere radius="0.0001"/>')
+    made = bring(text, density=1025.0)
+    (ball,) = made.table["hull"]["capsules"]
+    assert 4 / 3 * np.pi * ball["radius_m"] ** 3 * 1025.0 == pytest.approx(12.0)
+    assert made.noted("assumed", "no collision shape is read", "a ball of 0.141 m")
+    assert made.noted("dropped", "collision shapes below 1 mm")
+
+
 def test_links_without_mass_add_nothing(bring):
     joint = """<joint name="{0}" type="fixed"><parent link="base_link"/><child link="{0}"/>
       <origin xyz="1 0 0"/></joint>"""

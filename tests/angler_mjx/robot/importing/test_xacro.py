@@ -82,6 +82,13 @@ def test_macros_take_defaults_blocks_and_outer_values(expand):
     assert values(expand(body)) == ["1 2 left 7 x y", "left", "1", "2", "4 5 up 7 x y", "0"]
 
 
+@pytest.mark.parametrize(
+    ("text", "value"), [("'", "'"), ("''", ""), ("'7'", "7"), ("07.50", "7.5"), ("1_0", "1_0")]
+)
+def test_texts_of_properties_are_numbers_or_without_their_quotes(expand, text, value):
+    assert values(expand(f'<xacro:property name="a" value="{text}"/><p v="${{a}}"/>')) == [value]
+
+
 def test_conditions_choose(expand):
     body = """<xacro:arg name="sim" default="false"/>
       <xacro:if value="$(arg sim)"><p v="1"/></xacro:if>
