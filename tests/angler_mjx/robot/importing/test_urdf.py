@@ -346,6 +346,18 @@ def test_arms_have_six_joints_at_most(bring):
         bring(robot(chain(7)))
 
 
+@pytest.mark.parametrize("count", [16, 17])
+def test_shapes_of_a_link_beyond_sixteen_are_listed(bring, count):
+    shape = """<collision><origin xyz="{} 0 0"/><geometry><cylinder radius="0.01" length="0.1"/>
+      </geometry></collision>"""
+    shapes = "".join(shape.format(0.05 * i) for i in range(count))
+    made = bring(robot(chain(1).replace("</inertial></link>", f"</inertial>{shapes}</link>")))
+    (link,) = made.table["links"]
+    assert len(link["capsules"]) == len(link["water"]["cylinders"]) == 16
+    assert bool(made.noted("dropped", "capsules of a link after the first 16")) is (count > 16)
+    assert bool(made.noted("dropped", "drag and added mass of the shapes")) is (count > 16)
+
+
 @pytest.mark.parametrize(("name", "grips"), [("left_gripper_{}", True), ("elbow_{}", False)])
 def test_joints_of_grippers_are_known_by_their_names(bring, name, grips):
     made = bring(robot(chain(1, name)))

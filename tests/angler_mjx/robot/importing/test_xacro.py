@@ -189,6 +189,8 @@ def test_a_fault_names_file_line_and_remedy(expand, fault):
         "[0] * 10 ** 9",
         "range(10 ** 9)",
         "list(range(10 ** 9))",
+        "[[y for y in range(9999)] for x in range(9999)]",
+        "[len([y for y in range(9999)]) for x in range(9999)]",
         "math.factorial(10 ** 6)",
         "[x for x in 5]",
         "str.mro()",
@@ -205,6 +207,11 @@ def test_expressions_reach_nothing_and_stay_small(text):
 def test_numbers_may_have_4000_binary_digits():
     value = expressions.evaluate("2 ** 1999 * 2 ** 2000", {}.__getitem__, {})
     assert value == 1 << 3999
+
+
+def test_lists_may_have_10_000_entries():
+    value = expressions.evaluate("sum([x * x for x in range(10000)])", {}.__getitem__, {})
+    assert value == 9999 * 10000 * 19999 // 6
 
 
 def test_macros_that_multiply_are_stopped(expand):
