@@ -548,6 +548,9 @@ def test_an_origin_off_the_globe_is_refused(write, capsys, text):
         (10.0, (0.5, 0.2, 1.0)),  # it is
         (0.2, (0.5, 2.5, 1.0)),  # the speed is not reached
         (1.0, (2.0, 0.3, 1.0)),  # the acceleration is, the speed is not
+        (10.0, (0.5, 1.0, 1.0)),  # ArduSub's climbs
+        (3.0, (0.5, 2.0, 4.0)),  # another jerk than 1, without and with the acceleration reached
+        (3.0, (0.5, 1.0, 4.0)),
     ],
 )
 def test_profiles_keep_their_limits_and_take_no_longer(length, limits):

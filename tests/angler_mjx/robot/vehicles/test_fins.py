@@ -109,3 +109,21 @@ def test_vehicles_with_fins_and_no_heave_of_thrusters_climb_by_pitch():
         )
     )
     assert [bool(fins.flies_by_fins(v)) for v in (torpedo, rov, finned)] == [True, False, False]
+
+
+@pytest.mark.parametrize("orders", [1, 3])
+def test_deflections_are_the_first_states_of_the_rows_of_fins(orders):
+    made = fins.build_fins(library.load_vehicle("remus100"))
+    # The thrust of the propeller, 5 N, is no deflection.
+    states = np.array([5.0, 0.1, -0.05])
+    if orders == 3:
+        states = np.stack([states, np.full(3, 7.0), np.full(3, -7.0)])
+    nu = jnp.array([1.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+    wrench = fins.fin_wrench(made, jnp.asarray(states), nu, 1030.0)
+    pressure_n = 0.5 * 1030.0 * 1.5**2 * 0.0133
+    coefficient = 1.4074 * np.array([0.1, -0.05])
+    rudder, plane = pressure_n * coefficient
+    drag = np.sum(pressure_n * coefficient**2 / (math.pi * 0.9 * 2.21))
+    # 0.638 m behind the centre of mass and 0.0196 m above it.
+    moment = [-0.0196 * rudder, -0.0196 * drag - 0.638 * plane, -0.638 * rudder]
+    np.testing.assert_allclose(wrench, [-drag, rudder, -plane, *moment], rtol=1e-4)
