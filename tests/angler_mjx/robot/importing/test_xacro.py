@@ -198,10 +198,10 @@ def test_a_fault_names_file_line_and_remedy(expand, fault):
     ],
 )
 def test_expressions_reach_nothing_and_stay_small(text):
-    start = time.monotonic()
+    start = time.process_time()
     with pytest.raises(expressions.ExpressionError):
         expressions.evaluate(text, {}.__getitem__, {})
-    assert time.monotonic() - start < 1
+    assert time.process_time() - start < 1
 
 
 def test_numbers_may_have_4000_binary_digits():
@@ -242,9 +242,9 @@ def test_3000_lines_take_less_than_two_seconds(bring):
     lines.append("</robot>")
     text = "\n".join(lines)
     assert text.count("\n") > 3000
-    start = time.monotonic()
+    start = time.process_time()
     made = bring(text, "rov.xacro")
-    assert time.monotonic() - start < 2
+    assert time.process_time() - start < 2
     assert made.numbers["rigid_body"]["mass_kg"] == pytest.approx(9 + 7.5)
 
 
