@@ -25,7 +25,7 @@ from angler_mjx.robot.importing.numbers import (
 )
 from angler_mjx.robot.importing.rigid_groups import Group, shapes_of
 
-MAX_JOINTS, MAX_LINKS, MAX_CAPSULES = 6, 16, 16
+MAX_JOINTS, MAX_CYLINDERS, MAX_CAPSULES = 6, 16, 16
 """As in vehicle files."""
 NORMAL_DRAG, AXIAL_DRAG, ADDED_MASS = 1.1, 0.01, 1.0
 """Coefficients of a long circular cylinder."""
@@ -157,8 +157,14 @@ def _build_water(
     shapes: Sequence[tuple[Shape, np.ndarray]], joint: JointLink, notes: Notes
 ) -> dict[str, Any]:
     """Return the table of cylinders: each shape as one along its longest edge."""
+    if len(shapes) > MAX_CYLINDERS:
+        notes.add(
+            "dropped",
+            f"drag and added mass of the shapes of a link after the first {MAX_CYLINDERS}",
+            shapes[-1][0].element.location,
+        )
     cylinders = []
-    for shape, pose in shapes[:MAX_LINKS]:
+    for shape, pose in shapes[:MAX_CYLINDERS]:
         half = shape.half_extents_m
         axis = int(np.argmax(half))
         along = pose[:3, axis] * max(half[axis], 1e-3)

@@ -10,7 +10,8 @@ type Value = str | int | float | bool | list["Value"] | dict[str, "Value"] | Non
 
 MAX_CHARACTERS, MAX_DIGITS = 10_000, 4000
 """Max length of a text or list, and of an integer in bits."""
-_MAX_NODES = 500
+_MAX_NODES, _MAX_STEPS = 500, 100_000
+"""Max number of nodes of an expression, and of their evaluations: comprehensions repeat them."""
 
 _OPERATORS: Mapping[type[ast.AST], Callable[..., object]] = {
     ast.Add: operator.add,
@@ -98,6 +99,7 @@ class _Evaluation:
         self, find_name: Callable[[str], object], functions: Mapping[str, Callable[..., object]]
     ) -> None:
         self._find_name, self._functions = find_name, functions
+        self._steps = 0
 
     def value(self, node: ast.AST, local: Mapping[str, object]) -> object:
         """Return the value of a node.
@@ -106,6 +108,9 @@ class _Evaluation:
             node: of the expression.
             local: names bound by comprehensions around it.
         """
+        self._steps += 1
+        if self._steps > _MAX_STEPS:
+            raise ExpressionError(f"takes more than {_MAX_STEPS} steps")
         match node:
             case ast.Constant(value=bool() | int() | float() | str() | None):
                 return node.value

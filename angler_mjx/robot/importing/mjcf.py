@@ -369,13 +369,18 @@ class _Reader:
 
     def _build_thruster(self, a: int, name: str, site: int) -> ThrusterMount:
         model, element = self._model, self._element("actuator", name)
-        gear = model.actuator_gear[a][:3]
-        mount = self._mount(name, site, gear, element)
-        scale = float(np.linalg.norm(gear) * model.actuator_gainprm[a][0])
+        gear, gain = model.actuator_gear[a][:3], float(model.actuator_gainprm[a][0])
+        # A negative gain pushes against the gear.
+        mount = self._mount(name, site, -gear if gain < 0 else gear, element)
+        low, high = -np.inf, np.inf
         if model.actuator_ctrllimited[a]:
-            mount.min_thrust_n, mount.max_thrust_n = (
-                scale * float(x) for x in model.actuator_ctrlrange[a]
-            )
+            low, high = (abs(gain) * float(x) for x in model.actuator_ctrlrange[a])
+        if model.actuator_forcelimited[a]:
+            force = sorted(float(x) * (-1 if gain < 0 else 1) for x in model.actuator_forcerange[a])
+            low, high = max(low, force[0]), min(high, force[1])
+        length = float(np.linalg.norm(gear))
+        mount.min_thrust_n = length * low if np.isfinite(low) else None
+        mount.max_thrust_n = length * high if np.isfinite(high) else None
         dynamics = mujoco.mjtDyn
         if int(model.actuator_dyntype[a]) in (
             int(dynamics.mjDYN_FILTER),

@@ -170,8 +170,12 @@ def read_plan(path: Path, notes: Notes) -> Mission:
         if root.get(name) is not None:
             part = root.child(name)
             for key in keys:
-                if count := len(part.get(key) or ()):  # type: ignore[arg-type]
-                    notes.add("dropped", f"{name}.{key}: {count}, not checked", part.locate(key))
+                shapes = part.get(key) or []
+                if not isinstance(shapes, list):
+                    raise part.fault(key, "must be a list")
+                if shapes:
+                    text = f"{name}.{key}: {len(shapes)}, not checked"
+                    notes.add("dropped", text, part.locate(key))
     _note_unread(root, set(), notes)
     return Mission(file=path, home=home, items=_resolve_jumps(items, jump_ids))
 

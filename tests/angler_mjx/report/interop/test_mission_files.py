@@ -11,6 +11,7 @@ import pytest
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError
 from angler_mjx.report.interop.mission_files import export_mission as exporting
+from angler_mjx.report.interop.mission_files import items as mission_items
 from angler_mjx.report.interop.mission_files import speed_profile
 from angler_mjx.report.interop.mission_files.import_mission import (
     import_missions,
@@ -199,6 +200,12 @@ def test_a_heading_holds_for_one_leg(write):
     assert points[-1].positions[3] % (2 * math.pi) == pytest.approx(0.0, abs=1e-9)
 
 
+def test_a_vertical_leg_keeps_the_heading(write):
+    imported = import_mission(write(plan([waypoint(2, 0, -4), waypoint(2, 0, -7)])))
+    points = imported.planned.goal.points
+    np.testing.assert_allclose([point.positions[3] for point in points], math.pi / 2, atol=1e-6)
+
+
 def test_home_and_the_surface_end_below_it(write):
     returning = item(20, [0] * 7, frame=2)
     landing = item(21, [0, 0, 0, 0, 0, 0, 0])
@@ -228,6 +235,24 @@ def test_circles_keep_their_radius_and_direction(write):
     assert 360.0 < end - begin < 365.0
 
 
+@pytest.mark.parametrize(("north", "east"), [(3, -4), (0, 0)])
+def test_circles_begin_at_the_edge_that_is_nearest_or_south_of_their_middle(write, north, east):
+    center = [HOME[0] + 2e-4, HOME[1] + 1e-4]
+    circle = item(18, [1, 0, 6.0, None, *center, -5])
+    imported = import_mission(write(plan([waypoint(2 + north, 1 + east, -5), circle])))
+    middle = np.array([EAST_M, 2 * NORTH_M])
+    outward = np.array([east * EAST_M, north * NORTH_M]) if north else np.array([0.0, -1.0])
+    edge = [*(middle + 6.0 * outward / np.hypot(*outward)), -5.0]
+    assert positions(imported)[1] == pytest.approx(edge, abs=5e-3)
+    # The line to the circle ends where the circle begins and ends.
+    times = (imported.planned.arrivals_s[1], imported.planned.ends_s[1])
+    points = imported.planned.goal.points
+    for end_s in times:
+        nearest = min(points, key=lambda point: abs(point.time_s - end_s))
+        assert nearest.time_s == pytest.approx(end_s, abs=1e-5)
+        assert nearest.positions[:3] == pytest.approx(edge, abs=5e-3)
+
+
 def test_items_of_surveys_are_flown_and_other_complex_items_named(write):
     survey = {
         "type": "ComplexItem",
@@ -250,6 +275,7 @@ def test_items_of_surveys_are_flown_and_other_complex_items_named(write):
 def test_what_is_not_understood_is_named(write):
     content = plan([item(22, [0, 0, 0, None, *HOME, -3]), waypoint(1, 0, -4, wingFlaps=3)])
     content["geoFence"]["polygons"] = [{"polygon": []}]
+    content["rallyPoints"]["points"] = [[*HOME, 0.0], [*HOME, 1.0]]
     content["mission"]["items"].append(item(42000, [0] * 7, frame=2))
     content["future"] = 1
     notes = "\n".join(map(str, import_mission(write(content)).notes))
@@ -257,10 +283,30 @@ def test_what_is_not_understood_is_named(write):
         "NAV_TAKEOFF: not flown here [dive.plan: mission.items[0]]",
         "'wingFlaps'",
         "command 42000",
-        "geoFence.polygons",
+        "geoFence.polygons: 1, not checked [dive.plan: geoFence.polygons]",
+        "rallyPoints.points: 2, not checked",
         "'future'",
     ):
         assert part in notes
+
+
+def test_names_are_those_of_mavlink():
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    frames, commands = mavlink.enums["MAV_FRAME"], mavlink.enums["MAV_CMD"]
+    for number, name in mission_items.FRAME_NAMES.items():
+        assert frames[number].name == name
+    for number, name in mission_items.COMMAND_NAMES.items():
+        assert commands[number].name == f"MAV_CMD_{name}"
+
+
+@pytest.mark.parametrize("parameters", [4, 7])
+def test_positions_of_old_plans_stand_in_their_coordinate(write, parameters):
+    old = item(16, [3, 0, 0, 0, 1, 2, 3][:parameters])
+    old["coordinate"] = [HOME[0] + 1e-4, HOME[1] + 2e-4, -4]
+    imported = import_mission(write(plan([old])))
+    assert positions(imported)[0] == pytest.approx((2 * EAST_M, NORTH_M, -4.0), abs=5e-3)
+    assert imported.route[0].hold_s == 3.0
+    assert not any("coordinate" in str(note) for note in imported.notes)
 
 
 # ---------------------------------------------------------------- way-point files
@@ -297,6 +343,25 @@ def test_pymavlink_reads_the_same_waypoints(write):
         assert theirs.param1 == pytest.approx(mission_item.parameter(1))
         got = (mission_item.latitude_deg, mission_item.longitude_deg, mission_item.altitude_m)
         assert (theirs.x, theirs.y, theirs.z) == pytest.approx(got)
+
+
+@pytest.mark.parametrize("altitude", [0.0, 12.5])
+def test_line_nought_is_home_with_its_altitude(write, altitude):
+    text = WPL.replace("47.6\t-122.3\t0\t1", f"47.6\t-122.3\t{altitude}\t1")
+    mission = read_mission(write(text, "dive.waypoints"), Notes())
+    assert (mission.home.latitude_deg, mission.home.longitude_deg) == HOME
+    assert mission.home.altitude_m == altitude
+    assert [entry.number for entry in mission.items] == [1, 2, 3]
+
+
+def test_files_of_more_than_16_mib_are_no_waypoints(write):
+    path = write(WPL, "dive.waypoints")
+    text = WPL + "#" * (2**24 - len(WPL))
+    path.write_text(text)
+    assert len(read_mission(path, Notes()).items) == 3
+    path.write_text(text + "#")
+    with pytest.raises(ConfigError, match="more than 16 MiB"):
+        read_mission(path, Notes())
 
 
 # ---------------------------------------------------------------- fleets
@@ -339,6 +404,20 @@ def test_robots_from_one_home_start_apart(write):
     assert not any("below home" in text for text in said if "2.plan" in text)
 
 
+def test_a_home_away_from_w_is_named(write):
+    west = [HOME[0], HOME[1] - 1e-3]
+    a = write(plan([waypoint(2, 0, -4)]), "a.plan")
+    b = write(plan([waypoint(1, -10, -6)], plannedHomePosition=[*west, 0]), "b.plan")
+    notes = [str(note) for note in import_missions([a, b]).notes]
+    (note,) = [text for text in notes if "home is at" in text]
+    assert note.startswith(f"converted: b.plan: home is at ({-10 * EAST_M:.1f}, ")
+    # The third starts at the first's home, which is that of W.
+    same = import_missions([b, a, b]).notes
+    assert [str(note) for note in same if "home is at" in str(note)] == [
+        f"converted: a.plan: home is at ({10 * EAST_M:.1f}, 0.0) m of W"
+    ]
+
+
 def test_a_tour_is_of_one_mission(write):
     paths = [write(plan([waypoint(2, i, -4)]), f"{i}.plan") for i in range(2)]
     with pytest.raises(ConfigError, match="--kind tour: 2 files"):
@@ -377,6 +456,14 @@ BAD_PLANS = {
         lambda i, c: c["mission"].update(plannedHomePosition=[1]),
         ("plannedHomePosition", "latitude, longitude"),
     ),
+    "fence": (
+        lambda i, c: c["geoFence"].update(circles=3),
+        ("geoFence.circles = 3", "must be a list"),
+    ),
+    "rally": (
+        lambda i, c: c["rallyPoints"].update(points="abc"),
+        ("rallyPoints.points = 'abc'", "must be a list"),
+    ),
     "endless": (lambda i, c: c["mission"]["items"].append(jump(1, -1)), ("items[2]", "-1 times")),
     "nowhere": (lambda i, c: c["mission"]["items"].append(jump(8, 1)), ("items[2]", "1 to 3")),
     "empty": (lambda i, c: c["mission"].update(items=[speed(1.0)]), ("NAV_WAYPOINT",)),
@@ -405,7 +492,7 @@ BAD_LINES = {
     "word": ("4.0", "four", (":6", "param1 = 'four'", "a number")),
     "columns": ("\t-5.0\t1  # hold", "\t-5.0", (":6", "11 columns", "autocontinue")),
     "number": ("3\t0\t3", "5\t0\t3", (":7", "number = 5", "must be 3")),
-    "header": ("QGC WPL 110", "QGC WPL 200", (":1", "QGC WPL 110")),
+    "header": ("QGC WPL 110", "QGC WPL 200", (":1: 'QGC WPL 200'", "must be QGC WPL 110")),
     "frame": ("3\t0\t3\t16", "3\t0\t3.5\t16", (":7", "frame = 3.5", "whole number")),
 }
 
@@ -421,6 +508,21 @@ def test_a_fault_of_a_line_is_one_message_with_its_number_and_remedy(write, name
     assert message.startswith(str(path))
     for part in parts:
         assert part in message
+
+
+def test_a_file_that_is_not_there_is_one_message(tmp_path):
+    with pytest.raises(ConfigError, match=r"gone\.plan: cannot be read"):
+        import_mission(tmp_path / "gone.plan")
+
+
+def test_horizons_are_a_day_at_most(write):
+    leg_s = import_mission(write(plan([waypoint(1, 0, -4)]))).planned.duration_s
+    # Twice the plan and a minute.
+    hold_s = (86_400 - 60) / 2 - leg_s
+    longest = import_mission(write(plan([waypoint(1, 0, -4, hold=hold_s - 0.1)])))
+    assert longest.scenario.time.horizon_s == 86_400
+    with pytest.raises(ConfigError, match="86400 s at most"):
+        import_mission(write(plan([waypoint(1, 0, -4, hold=hold_s + 0.1)])))
 
 
 def test_a_mission_without_home_needs_an_origin(write):
@@ -446,6 +548,9 @@ def test_an_origin_off_the_globe_is_refused(write, capsys, text):
         (10.0, (0.5, 0.2, 1.0)),  # it is
         (0.2, (0.5, 2.5, 1.0)),  # the speed is not reached
         (1.0, (2.0, 0.3, 1.0)),  # the acceleration is, the speed is not
+        (10.0, (0.5, 1.0, 1.0)),  # ArduSub's climbs
+        (3.0, (0.5, 2.0, 4.0)),  # another jerk than 1, without and with the acceleration reached
+        (3.0, (0.5, 1.0, 4.0)),
     ],
 )
 def test_profiles_keep_their_limits_and_take_no_longer(length, limits):
@@ -497,6 +602,26 @@ def test_parameters_of_the_vehicle_count():
         read_limits({"WPNAV_SPEED": 0.0}, VehicleLimits())
 
 
+def test_parameters_have_the_units_of_ardusub():
+    """cm/s, cm/s^2, m/s^3, cm and degrees a second, as in ArduPilot's list of parameters."""
+    read = {
+        "WPNAV_SPEED": 40.0,
+        "WPNAV_SPEED_UP": 30.0,
+        "WPNAV_SPEED_DN": 20.0,
+        "WPNAV_ACCEL": 150.0,
+        "WPNAV_ACCEL_Z": 70.0,
+        "WPNAV_JERK": 0.5,
+        "WPNAV_RADIUS": 120.0,
+        "CIRCLE_RADIUS": 800.0,
+        "CIRCLE_RATE": -3.0,
+    }
+    limits = read_limits(read, VehicleLimits())
+    assert (limits.speed_mps, limits.speed_up_mps, limits.speed_down_mps) == (0.4, 0.3, 0.2)
+    assert (limits.acceleration_mps2, limits.acceleration_z_mps2) == pytest.approx((1.5, 0.7))
+    assert (limits.jerk_mps3, limits.radius_m, limits.circle_radius_m) == (0.5, 1.2, 8.0)
+    assert limits.circle_rate_radps == pytest.approx(math.pi / 60)
+
+
 @pytest.mark.parametrize("text", ["WPNAV_SPEED,25\n", "1\t1\tWPNAV_SPEED\t25.0\t9\n"])
 def test_parameter_files_of_both_ground_stations_set_the_speed(write, tmp_path, text):
     path, file = write(plan([waypoint(3, 0, -4)])), write(text, "mine.param")
@@ -521,6 +646,26 @@ def test_a_tour_visits_the_stops_in_order(write, tmp_path):
     assert load_scenario(tmp_path / "tour.toml").world.start_m[0][2] == -1.5  # a cell and a half
     assert "dropped: NAV_WAYPOINT: tours do not wait" in (tmp_path / "tour.toml").read_text()
     assert not (tmp_path / "tour.zarr").exists()
+
+
+def test_a_tour_names_each_thing_that_it_leaves_out(write):
+    yaw = item(115, [90, 0, 0, 0, 0, 0, 0], frame=2)
+    circle = item(18, [2, 0, 6.0, None, HOME[0], HOME[1] + 4e-4, -5])
+    items = [waypoint(1, 0, -4, hold=5), yaw, waypoint(2, 0, -4), circle, waypoint(3, 0, -4)]
+    plain = [waypoint(1, 0, -4), waypoint(2, 0, -4)]
+    causes = ("do not wait", "set no headings", "do not circle", "changes of speed")
+
+    def dropped(content):
+        notes = import_mission(write(plan(content)), kind="tour").notes
+        lines = [str(note) for note in notes if note.kind == "dropped"]
+        return [[line for line in lines if cause in line] for cause in causes]
+
+    wait, heading, circles, speeds = dropped([*items, speed(0.2), waypoint(4, 0, -4)])
+    assert "mission.items[0]" in wait[0]
+    assert "mission.items[2]" in heading[0]
+    assert "mission.items[3]" in circles[0]
+    assert [len(lines) for lines in (wait, heading, circles, speeds)] == [1, 1, 1, 1]
+    assert dropped(plain) == [[], [], [], []]
 
 
 def export(source, out, *flags):
@@ -573,6 +718,35 @@ def test_exported_files_are_read_by_others(tmp_path):
     assert table["fileType"] == "Plan"
     assert {entry["type"] for entry in table["mission"]["items"]} == {"SimpleItem"}
     assert all(len(entry["params"]) == 7 for entry in table["mission"]["items"])
+
+
+@pytest.mark.parametrize(("east_m", "count"), [(0.9, 1), (-0.9, 1), (1.1, 2)])
+def test_a_start_within_a_metre_of_home_is_no_waypoint(east_m, count):
+    position_m = np.array([[east_m, 0.0, -2.0], [20.0, 0.0, -2.0]])
+    origin = exporting.GeodeticOrigin(latitude_deg=HOME[0], longitude_deg=HOME[1])
+    waypoints = exporting.build_waypoints(np.array([0.0, 60.0]), position_m)
+    commands = [entry.command for entry in exporting.build_items(waypoints, origin)]
+    assert commands.count(16) == count
+
+
+def test_speeds_of_exports_are_horizontal_and_vertical_legs_have_none():
+    position_m = np.array([[0.0, 0, -2], [6, 0, -10], [6, 0, -2]])
+    _, slope, rise = exporting.build_waypoints(np.array([0.0, 20.0, 40.0]), position_m)
+    assert slope.speed_mps == pytest.approx(0.3)
+    assert rise.speed_mps is None
+
+
+def test_a_trajectory_that_begins_late_rests_at_its_first_point(write):
+    points = [
+        {"positions": [1.0, 2.0, -3.0], "time_from_start": {"sec": 2}},
+        {"positions": [5.0, 2.0, -3.0], "time_from_start": {"sec": 10}},
+    ]
+    trajectory = {"joint_names": ["x", "y", "z"], "points": points}
+    path = write({"schema_version": 1, "robots": [{"robot": 0, "trajectory": trajectory}]})
+    time_s, position_m = exporting.read_path(path, 0, 0)
+    assert time_s[0] == 0.0
+    np.testing.assert_allclose(position_m[time_s <= 2.0], [[1, 2, -3]] * np.sum(time_s <= 2.0))
+    np.testing.assert_allclose(position_m[-1], [5, 2, -3])
 
 
 def test_bent_paths_are_exported_within_the_deviation():

@@ -1,5 +1,6 @@
 """MJCF into vehicle files: thrusters at sites, buoyancy, arms, our exported files, faults."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -66,6 +67,51 @@ def test_bodies_and_thrusters(seal):
     assert [(min(row), max(row)) for row in limited] == [(-10.0, 20.0), (-20.0, 40.0)]
     assert made.noted("converted", "-20 N, 40 N")
     assert made.noted("dropped", "reaction torque")
+
+
+def test_masses_by_mujoco_are_listed_with_their_bodies(seal):
+    (note,) = seal().noted("converted", "bodies without <inertial>")
+    assert note.endswith(f"seal.xml:{line_of(FILE, 'name="lead"')}]")
+    assert note.count("seal.xml") == 1
+
+
+@pytest.mark.parametrize(
+    ("more", "direction", "ends"),
+    [
+        ('forcerange="-4 6"', [-1, 0, 0], (-4.0, 6.0)),
+        ('forcerange="-40 6"', [-1, 0, 0], (-10.0, 6.0)),
+        # The force is the gain times the control, and the gear turns it: -0.5 of -10 to 20.
+        ('gainprm="-0.5"', [1, 0, 0], (-5.0, 10.0)),
+        ('gainprm="-0.5" forcerange="-4 3"', [1, 0, 0], (-3.0, 4.0)),
+    ],
+)
+def test_gain_and_limits_of_force_count(seal, more, direction, ends):
+    made = seal(FILE.replace('gear="-1 0 0 0 0 0.01"', f'gear="-1 0 0 0 0 0" {more}'))
+    first, _ = made.table["thrusters"]["layout"]
+    assert first["direction"] == pytest.approx(direction, abs=1e-9)
+    thrust = first["curve"]["thrust_n"]
+    assert (thrust[0], thrust[-1]) == ends
+    assert made.noted("converted", f"{ends[0]:g} N, {ends[1]:g} N")
+
+
+def test_forces_of_actuators_are_those_of_mujoco(seal):
+    """Force along x of the body at the ends of the control, as MuJoCo itself makes it."""
+    text = FILE.replace(
+        'gear="-1 0 0 0 0 0.01"', 'gear="-2 0 0 0 0 0" gainprm="-0.5" forcerange="-4 3"'
+    )
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    forces = []
+    for control in (-10.0, 20.0):
+        data.ctrl[0] = control
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_fwdActuation(model, data)
+        turned = data.xmat[1].reshape(3, 3).T @ data.qfrc_actuator[:3]
+        forces.append(turned[0])
+    first, _ = seal(text).table["thrusters"]["layout"]
+    assert first["direction"] == pytest.approx([1, 0, 0], abs=1e-9)
+    assert (first["curve"]["thrust_n"][0], first["curve"]["thrust_n"][-1]) == pytest.approx(forces)
 
 
 def test_gravity_compensation_is_buoyancy(seal):

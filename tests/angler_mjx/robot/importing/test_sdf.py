@@ -144,6 +144,23 @@ def test_models_are_included_and_merged(bring):
     assert layout(made)["prop_1"]["position_m"] == pytest.approx([0.1, 0, 0], abs=1e-9)
 
 
+def test_models_in_models_have_their_names_and_frames(bring):
+    tray = f"""<model name="tray"><pose>0.2 0 0 0 0 1.5707963267948966</pose>
+      <link name="plate"><pose>0.1 0 0 0 0 0</pose>{INERTIAL.format(mass=4, more="")}</link>
+      <model name="cup"><pose>0 0 0.5 0 0 0</pose>
+      <link name="base_link">{INERTIAL.format(mass=1, more="")}</link></model></model>
+      <joint name="j" type="fixed"><parent>base_link</parent><child>tray::plate</child></joint>
+      <joint name="k" type="fixed"><parent>base_link</parent><child>tray::cup::base_link</child>
+      </joint>"""
+    made = bring(sdf(model(thruster(), tray)), "rov.sdf")
+    assert made.trim.mass_kg == pytest.approx(17.001)
+    # The tray looks along y of the model: its plate is 0.1 m to the left of its origin.
+    parts = [(4, np.array([0.2, 0.1, 0.0])), (1, np.array([0.2, 0.0, 0.5]))]
+    parts.append((0.001, np.array([0.1, 0.0, 0.0])))
+    center = sum(mass * point for mass, point in parts) / 17.001
+    assert made.table["base"]["center_of_mass_m"] == pytest.approx(center)
+
+
 def test_links_without_inertial_weigh_what_sdf_says(bring):
     bare = """<link name="tag"/><joint name="j" type="fixed"><parent>base_link</parent>
       <child>tag</child></joint>"""
@@ -185,6 +202,20 @@ def test_fins_keep_lift_drag_and_limits(bring):
     drag = (4.0 * 0.25) ** 2 / (np.pi * 0.9 * row["aspect_ratio"])
     assert drag == pytest.approx(0.125, rel=1e-5)
     assert made.noted("assumed", "do not push in sway, heave")
+
+
+def test_a_fin_without_drag_has_that_of_an_aspect_ratio_of_three(bring):
+    fin = f"""<link name="fin">{NOTHING}</link><joint name="fin_joint" type="fixed">
+      <parent>base_link</parent><child>fin</child></joint>
+      <plugin filename="gz-sim-lift-drag-system" name="gz::sim::systems::LiftDrag">
+      <link_name>fin</link_name><area>0.02</area><cla>4.0</cla></plugin>"""
+    made = bring(sdf(model(thruster(), fin)), "rov.sdf")
+    (row,) = made.table["fins"]["layout"]
+    assert row["aspect_ratio"] == pytest.approx(3.0)
+    assert (row["limit_rad"], row["stall_rad"]) == (0.0, 0.3)
+    # Gazebo's upward is z: positive angles of attack lift, about the way to the right.
+    assert row["span"] == pytest.approx([0, -1, 0])
+    assert made.noted("converted", "fin fin: drag assumed")
 
 
 FAULTS = {

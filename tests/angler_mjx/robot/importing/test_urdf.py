@@ -94,6 +94,57 @@ def test_visuals_have_the_colours_of_their_materials(bring):
     assert not made.noted("dropped", "material")
 
 
+def test_visuals_below_a_millimetre_are_listed(bring):
+    shape = "<visual><geometry><sphere radius='{}'/></geometry></visual>"
+    radii = (0.0005, 0.1, 0.002)
+    link = f"<link name='balls'>{''.join(map(shape.format, radii))}</link>"
+    joint = (
+        """<joint name="f" type="fixed"><parent link="base_link"/><child link="balls"/></joint>"""
+    )
+    made = bring(robot(link, joint))
+    assert [ball["radius_m"] for ball in made.table["visual"]["shapes"]] == [0.1, 0.002]
+    assert len(made.noted("dropped", "visual shapes below 1 mm")) == 1
+
+
+def test_visual_boxes_lie_along_the_axes(bring):
+    box = "<visual><origin rpy='{}'/><geometry><box size='0.1 0.2 0.3'/></geometry></visual>"
+    turns = ("0 0 0", "0 0 1.5707963267948966", "0.3 0 0", "0 0.01 0")
+    link = f"<link name='boxes'>{''.join(map(box.format, turns))}</link>"
+    joint = (
+        """<joint name="f" type="fixed"><parent link="base_link"/><child link="boxes"/></joint>"""
+    )
+    made = bring(robot(link, joint))
+    sizes = [shape["size_m"] for shape in made.table["visual"]["shapes"]]
+    # The last is turned by half a degree: its edges differ from the axes by 5e-5.
+    np.testing.assert_allclose(sizes, [[0.1, 0.2, 0.3], [0.2, 0.1, 0.3], [0.1, 0.2, 0.3]])
+    assert len(made.noted("dropped", "visual boxes that are turned")) == 1
+
+
+def test_a_hull_without_shapes_is_a_ball_of_its_weight(bring):
+    text = robot().replace('<box size="0.4 0.3 0.1"/>', '<sphere radius="0.0001"/>')
+    made = bring(text, density=1025.0)
+    (ball,) = made.table["hull"]["capsules"]
+    assert 4 / 3 * np.pi * ball["radius_m"] ** 3 * 1025.0 == pytest.approx(12.0)
+    assert made.noted("assumed", "no collision shape is read", "a ball of 0.141 m")
+    assert made.noted("dropped", "collision shapes below 1 mm")
+
+
+def test_links_without_mass_add_nothing(bring):
+    joint = """<joint name="{0}" type="fixed"><parent link="base_link"/><child link="{0}"/>
+      <origin xyz="1 0 0"/></joint>"""
+    heavy = """<link name="sticker"><inertial><mass value="0"/>
+      <inertia ixx="5" ixy="0" ixz="0" iyy="5" iyz="0" izz="5"/></inertial></link>"""
+    made = bring(robot(heavy, "<link name='frame'/>", *map(joint.format, ("sticker", "frame"))))
+    alone = bring(robot())
+    assert made.numbers["rigid_body"] | {"source": ""} == alone.numbers["rigid_body"] | {
+        "source": ""
+    }
+    assert made.table["base"]["center_of_mass_m"] == [0, 0, 0]
+    assert made.noted("dropped", "inertia of link sticker, which has no mass")
+    assert made.noted("converted", "links without mass: frames only")
+    assert not alone.noted("dropped", "inertia of link")
+
+
 def test_derivatives_of_gazebo_become_positive(bring):
     made = bring(robot(hydrodynamics(**FULL)))
     assert made.numbers["added_mass"]["coefficients"] == [5, 9, 13, 0.1, 0.2, 0.3]
@@ -275,6 +326,65 @@ def test_joints_with_limits_become_an_arm(bring):
     assert (joint["lower"], joint["upper"], joint["home"]) == (0.2, 1.5, 0.2)
     assert joint["actuator"]["max_effort"] == 9
     assert made.noted("assumed", "home of joint shoulder")
+
+
+def chain(count, name="joint_{}", limit='lower="-1" upper="1" effort="9" velocity="0.5"'):
+    """An arm of so many links, each on the one before."""
+    text = ""
+    for i in range(count):
+        parent = f"arm_{i - 1}" if i else "base_link"
+        text += f"""<link name="arm_{i}"><inertial><mass value="0.5"/>
+          <inertia ixx="0.002" ixy="0" ixz="0" iyy="0.002" iyz="0" izz="0.002"/></inertial></link>
+          <joint name="{name.format(i)}" type="revolute"><parent link="{parent}"/>
+          <child link="arm_{i}"/><axis xyz="0 0 1"/><limit {limit}/></joint>"""
+    return text
+
+
+def test_arms_have_six_joints_at_most(bring):
+    assert len(bring(robot(chain(6))).table["joints"]) == 6
+    with pytest.raises(ConfigError, match=r"joint 'joint_6'.* hold 6 joints, this file has 7"):
+        bring(robot(chain(7)))
+
+
+@pytest.mark.parametrize("count", [16, 17])
+def test_shapes_of_a_link_beyond_sixteen_are_listed(bring, count):
+    shape = """<collision><origin xyz="{} 0 0"/><geometry><cylinder radius="0.01" length="0.1"/>
+      </geometry></collision>"""
+    shapes = "".join(shape.format(0.05 * i) for i in range(count))
+    made = bring(robot(chain(1).replace("</inertial></link>", f"</inertial>{shapes}</link>")))
+    (link,) = made.table["links"]
+    assert len(link["capsules"]) == len(link["water"]["cylinders"]) == 16
+    assert bool(made.noted("dropped", "capsules of a link after the first 16")) is (count > 16)
+    assert bool(made.noted("dropped", "drag and added mass of the shapes")) is (count > 16)
+
+
+@pytest.mark.parametrize(("name", "grips"), [("left_gripper_{}", True), ("elbow_{}", False)])
+def test_joints_of_grippers_are_known_by_their_names(bring, name, grips):
+    made = bring(robot(chain(1, name)))
+    (joint,) = made.table["joints"]
+    assert joint.get("is_gripper", False) is grips
+    assert bool(made.noted("assumed", "a gripper's, by its name")) is grips
+
+
+@pytest.mark.parametrize(
+    ("limit", "speed", "effort"),
+    [
+        ('effort="9" velocity="0.25"', 0.25, 9.0),
+        ('effort="0" velocity="0"', 0.5, 10.0),
+        ("", 0.5, 10.0),
+        ('effort="1e6" velocity="0.25"', 0.25, 1e4),
+    ],
+)
+def test_servos_have_the_limits_of_the_file_or_named_ones(bring, limit, speed, effort):
+    made = bring(robot(chain(1, limit=f'lower="-1" upper="1" {limit}')))
+    servo = made.table["joints"][0]["actuator"]
+    assert (servo["max_speed"], servo["max_effort"]) == (speed, effort)
+    # A revolute servo of the shipped arm: full effort at 1 / 4.5 rad, damped with 0.25 s.
+    assert servo["stiffness"] == pytest.approx(4.5 * effort)
+    assert servo["damping"] == pytest.approx(0.25 * 4.5 * effort)
+    assert bool(made.noted("assumed", "effort of joints that state none")) is (effort == 10.0)
+    assert bool(made.noted("assumed", "speed of joints that state none")) is (speed == 0.5)
+    assert bool(made.noted("converted", "effort 1e+06")) is (effort == 1e4)
 
 
 def test_a_joint_that_follows_another_is_fixed(bring):

@@ -312,6 +312,16 @@ def test_gain_efficiencies_and_limits_of_thrust_count(convert):
     assert thrust[pwm == 1100] == pytest.approx(-0.8 * 0.0003 * 100**2)
 
 
+@pytest.mark.parametrize("efficiency", [-0.5, 1.5])
+def test_efficiencies_beyond_one_are_one_as_in_uuv_simulator(convert, efficiency):
+    more = f"""<clampMin>-100</clampMin><clampMax>100</clampMax>
+      <propeller_efficiency>{efficiency}</propeller_efficiency>
+      <thrust_efficiency>{efficiency}</thrust_efficiency>"""
+    pwm, thrust = curves_of(convert(BASIC, more))[0]
+    assert thrust[pwm == 1900] == pytest.approx(0.0003 * 100**2)
+    assert thrust[pwm == 1100] == pytest.approx(-0.0003 * 100**2)
+
+
 def test_bessa_has_a_dead_band(convert):
     text = """<conversion><type>Bessa</type><rotorConstantL>0.002</rotorConstantL>
       <rotorConstantR>0.003</rotorConstantR><deltaL>-400</deltaL><deltaR>900</deltaR></conversion>"""

@@ -82,6 +82,13 @@ def test_macros_take_defaults_blocks_and_outer_values(expand):
     assert values(expand(body)) == ["1 2 left 7 x y", "left", "1", "2", "4 5 up 7 x y", "0"]
 
 
+@pytest.mark.parametrize(
+    ("text", "value"), [("'", "'"), ("''", ""), ("'7'", "7"), ("07.50", "7.5"), ("1_0", "1_0")]
+)
+def test_texts_of_properties_are_numbers_or_without_their_quotes(expand, text, value):
+    assert values(expand(f'<xacro:property name="a" value="{text}"/><p v="${{a}}"/>')) == [value]
+
+
 def test_conditions_choose(expand):
     body = """<xacro:arg name="sim" default="false"/>
       <xacro:if value="$(arg sim)"><p v="1"/></xacro:if>
@@ -176,10 +183,14 @@ def test_a_fault_names_file_line_and_remedy(expand, fault):
         "'a'.format(1)",
         "'%s' % 1",
         "9 ** 9 ** 9",
+        "2 ** 3000 * 2 ** 1001",
+        "2 ** 3999 + 2 ** 3999 + 2 ** 3999",
         "'a' * 10 ** 9",
         "[0] * 10 ** 9",
         "range(10 ** 9)",
         "list(range(10 ** 9))",
+        "[[y for y in range(9999)] for x in range(9999)]",
+        "[len([y for y in range(9999)]) for x in range(9999)]",
         "math.factorial(10 ** 6)",
         "[x for x in 5]",
         "str.mro()",
@@ -187,10 +198,20 @@ def test_a_fault_names_file_line_and_remedy(expand, fault):
     ],
 )
 def test_expressions_reach_nothing_and_stay_small(text):
-    start = time.monotonic()
+    start = time.process_time()
     with pytest.raises(expressions.ExpressionError):
         expressions.evaluate(text, {}.__getitem__, {})
-    assert time.monotonic() - start < 1
+    assert time.process_time() - start < 1
+
+
+def test_numbers_may_have_4000_binary_digits():
+    value = expressions.evaluate("2 ** 1999 * 2 ** 2000", {}.__getitem__, {})
+    assert value == 1 << 3999
+
+
+def test_lists_may_have_10_000_entries():
+    value = expressions.evaluate("sum([x * x for x in range(10000)])", {}.__getitem__, {})
+    assert value == 9999 * 10000 * 19999 // 6
 
 
 def test_macros_that_multiply_are_stopped(expand):
@@ -221,9 +242,9 @@ def test_3000_lines_take_less_than_two_seconds(bring):
     lines.append("</robot>")
     text = "\n".join(lines)
     assert text.count("\n") > 3000
-    start = time.monotonic()
+    start = time.process_time()
     made = bring(text, "rov.xacro")
-    assert time.monotonic() - start < 2
+    assert time.process_time() - start < 2
     assert made.numbers["rigid_body"]["mass_kg"] == pytest.approx(9 + 7.5)
 
 
