@@ -89,6 +89,8 @@ def test_a_goal_is_reached_with_feedback(session, scene):
         assert message.joint_names == list(NAMES)
         error = message.desired.positions - message.actual.positions
         np.testing.assert_allclose(message.error.positions, error)
+        error = message.desired.velocities - message.actual.velocities
+        np.testing.assert_allclose(message.error.velocities, error)
     along = [message.desired.positions[0] for message in feedback]
     assert along[0] < -2.9
     assert along[-1] == pytest.approx(-2.0, abs=0.01)

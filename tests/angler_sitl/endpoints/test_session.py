@@ -202,12 +202,20 @@ def test_a_pilot_who_takes_over_is_not_disturbed_and_gives_back_without_a_jump(l
     assert session.end_note == ""
 
 
-def test_a_vehicle_far_outside_the_fence_is_not_armed(launch, connect):
-    vehicle = launch(start=(0.0, 0.0, 8.0))
+@pytest.mark.parametrize("depth_m", [8.0, 5.1])
+def test_a_vehicle_more_than_a_metre_outside_the_fence_is_not_armed(launch, connect, depth_m):
+    vehicle = launch(start=(0.0, 0.0, depth_m))
     session = connect(fence=Fence(lower_m=(-2, -2, -4), upper_m=(2, 2, 0)))
     with pytest.raises(ConfigError, match=r"robot_0: is at .* outside the fence.*nothing is armed"):
         session.arm()
     assert not vehicle.armed
+
+
+def test_a_vehicle_less_than_a_metre_outside_the_fence_is_armed(launch, connect):
+    vehicle = launch(start=(0.0, 0.0, 4.9))
+    session = connect(fence=Fence(lower_m=(-2, -2, -4), upper_m=(2, 2, 0)))
+    session.arm()
+    assert vehicle.armed
 
 
 def test_an_episode_begins_in_the_fence(launch, connect):
