@@ -104,6 +104,17 @@ def _status(backend):
     ]
 
 
+def test_the_reference_is_the_guidances_target_until_the_last_point(session, scene):
+    with served(session, scene) as door:
+        backend = door.backend
+        assert send(backend, 1, [(-2.7, *START[1:]), (-2.2, *START[1:])], [1.0, 3.0])
+        for _ in range(58):  # 2.9 s
+            backend.step()
+            _, data = backend.sent[f"{ROOT}/feedback"][-1]
+            desired = TYPES.deserialize_cdr(data, "control_msgs/msg/Feedback").desired.positions
+            np.testing.assert_array_equal(desired[:3], session.observe().target_m[0])
+
+
 def test_cancelled_the_robot_stays_where_it_is(session, scene):
     with served(session, scene) as door:
         backend = door.backend

@@ -160,6 +160,17 @@ def test_pace_is_a_word_or_a_number():
         ServeSettings(silence_s=0.0)
 
 
+@pytest.mark.parametrize("world", [0, 40, 2**31 - 1])
+def test_a_world_is_an_index_of_31_bits(world):
+    assert ServeSettings(world=world).world == world
+
+
+@pytest.mark.parametrize("world", [-1, 2**31])
+def test_another_world_is_refused(world):
+    with pytest.raises(ConfigError, match=f"--world {world}"):
+        ServeSettings(world=world)
+
+
 def test_a_transport_that_does_not_open_costs_no_compilation(scene, tmp_path):
     def broken():
         raise ConfigError("the port is in use")

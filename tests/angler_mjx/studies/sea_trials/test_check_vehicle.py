@@ -548,3 +548,11 @@ def test_fins_push_by_the_dynamic_pressure_of_the_terminal_speed():
     np.testing.assert_allclose(
         [actuators.lower[-2:], actuators.upper[-2:]], [[-0.26] * 2, [0.26] * 2]
     )
+
+
+def test_tanks_and_moving_masses_stay_in_the_middle():
+    """The three of Sea-Wing are its last actuators, and push nowhere by themselves."""
+    actuators = build_actuators(load_vehicle("seawing"), 16.0)
+    assert actuators.fins >= 3
+    for numbers in (actuators.lower, actuators.upper, *actuators.effect):
+        np.testing.assert_array_equal(numbers[-3:], 0.0)

@@ -30,11 +30,11 @@ def move(surge=None, yaw_rad=None, steering=None):
 def plot():
     """A function: the panels of a check, by title, as they are rendered."""
 
-    def render(motions, left_out=()):
+    def render(motions, left_out=(), *, level=False):
         check = VehicleCheck(
             vehicle="simple",
             parameter_set="round",
-            level=False,
+            level=level,
             measures=(),
             left_out=dict(left_out),
             motions=motions,
@@ -109,3 +109,11 @@ def test_an_empty_panel_states_the_reason_in_its_middle(plot):
         np.testing.assert_allclose(
             middle, [(panel.x0 + panel.x1) / 2, (panel.y0 + panel.y1) / 2], atol=2.0
         )
+
+
+@pytest.mark.parametrize("level", [False, True])
+def test_the_headline_states_whether_roll_and_pitch_are_held(plot, level):
+    figure = plot({}, level=level)["stop"].figure
+    title, subtitle = (text.get_text() for text in figure.texts)
+    assert title == "Sea trials of simple"
+    assert ("roll and pitch held" in subtitle) == level
