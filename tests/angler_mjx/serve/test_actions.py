@@ -17,9 +17,23 @@ def uuid(number):
     return bytes([number] * 16)
 
 
-def send(backend, number, rows, times, *, names=NAMES, goal=(), path=(), goal_time_s=0, stamp_s=0):
+def send(
+    backend,
+    number,
+    rows,
+    times,
+    *,
+    names=NAMES,
+    goal=(),
+    path=(),
+    goal_time_s=0,
+    stamp_s=0,
+    goal_components=(),
+    path_components=(),
+):
     """Send a goal; returns whether it is accepted."""
     make = TYPES.types
+    component = make["control_msgs/msg/JointComponentTolerance"]
     tolerance = make["control_msgs/msg/JointTolerance"]
     header = make["std_msgs/msg/Header"](make["builtin_interfaces/msg/Time"](0, 0), "")
     request = make["control_msgs/msg/SendRequest"](
@@ -27,9 +41,9 @@ def send(backend, number, rows, times, *, names=NAMES, goal=(), path=(), goal_ti
         trajectory=trajectory(names, rows, times=times, stamp_s=stamp_s),
         multi_dof_trajectory=make["trajectory_msgs/msg/MultiDOFJointTrajectory"](header, [], []),
         path_tolerance=[tolerance(name, value, 0.0, 0.0) for name, value in path],
-        component_path_tolerance=[],
+        component_path_tolerance=[component(x, 0, 0.1, 0.0, 0.0) for x in path_components],
         goal_tolerance=[tolerance(name, value, 0.0, 0.0) for name, value in goal],
-        component_goal_tolerance=[],
+        component_goal_tolerance=[component(x, 0, 0.1, 0.0, 0.0) for x in goal_components],
         goal_time_tolerance=make["builtin_interfaces/msg/Duration"](goal_time_s, 0),
     )
     data = bytes(TYPES.serialize_cdr(request, "control_msgs/msg/SendRequest"))
@@ -176,6 +190,8 @@ def test_what_cannot_be_followed_is_rejected(session, scene):
         "too fast": dict(rows=[(50.0, *START[1:])], times=[1.0]),
         "no points": dict(rows=[], times=[]),
         "a tolerance of another joint": dict(rows=[START], times=[2.0], goal=[("knee", 1.0)]),
+        "a component on the way": dict(rows=[START], times=[2.0], path_components=["base"]),
+        "a component at the end": dict(rows=[START], times=[2.0], goal_components=["base"]),
         "a negative tolerance": dict(rows=[START], times=[2.0], path=[("x", -2.0)]),
     }
     with served(session, scene) as door:
