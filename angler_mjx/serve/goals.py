@@ -266,8 +266,13 @@ class GoalServer:
     def _read_goal(self, data: bytes, observation: Observation) -> _Goal:
         request = decoding.decode_message(f"{ACTION}_SendGoal_Request", data)
         goal = request.goal
-        if len(goal.multi_dof_trajectory.points) or len(goal.component_path_tolerance):
+        if len(goal.multi_dof_trajectory.points):
             raise ConfigError("multi_dof_trajectory: not followed; give joints")
+        if len(goal.component_path_tolerance) or len(goal.component_goal_tolerance):
+            raise ConfigError(
+                "component_path_tolerance, component_goal_tolerance: not judged; give tolerances "
+                "of joints"
+            )
         if any(other.uuid == bytes(request.goal_id.uuid) for other in self._goals):
             raise ConfigError("goal_id: there is a goal of this number already")
         message = decoding.read_trajectory(goal.trajectory)

@@ -355,7 +355,8 @@ def test_a_list_that_cannot_be_read_is_refused(tree, tmp_path, text, folders, me
 
 
 @pytest.mark.parametrize(
-    ("name", "rooms", "count"), [("ten_rooms", 10, 200), ("arms_and_kernels", 11, 116)]
+    ("name", "rooms", "count"),
+    [("ten_rooms", 10, 200), ("arms_and_kernels", 11, 116), ("doors_and_grips", 5, 96)],
 )
 def test_the_stored_lists_of_the_project_are_read(name, rooms, count):
     root = Path(__file__).parents[2]

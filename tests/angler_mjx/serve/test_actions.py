@@ -17,9 +17,23 @@ def uuid(number):
     return bytes([number] * 16)
 
 
-def send(backend, number, rows, times, *, names=NAMES, goal=(), path=(), goal_time_s=0, stamp_s=0):
+def send(
+    backend,
+    number,
+    rows,
+    times,
+    *,
+    names=NAMES,
+    goal=(),
+    path=(),
+    goal_time_s=0,
+    stamp_s=0,
+    goal_components=(),
+    path_components=(),
+):
     """Send a goal; returns whether it is accepted."""
     make = TYPES.types
+    component = make["control_msgs/msg/JointComponentTolerance"]
     tolerance = make["control_msgs/msg/JointTolerance"]
     header = make["std_msgs/msg/Header"](make["builtin_interfaces/msg/Time"](0, 0), "")
     request = make["control_msgs/msg/SendRequest"](
@@ -27,9 +41,9 @@ def send(backend, number, rows, times, *, names=NAMES, goal=(), path=(), goal_ti
         trajectory=trajectory(names, rows, times=times, stamp_s=stamp_s),
         multi_dof_trajectory=make["trajectory_msgs/msg/MultiDOFJointTrajectory"](header, [], []),
         path_tolerance=[tolerance(name, value, 0.0, 0.0) for name, value in path],
-        component_path_tolerance=[],
+        component_path_tolerance=[component(x, 0, 0.1, 0.0, 0.0) for x in path_components],
         goal_tolerance=[tolerance(name, value, 0.0, 0.0) for name, value in goal],
-        component_goal_tolerance=[],
+        component_goal_tolerance=[component(x, 0, 0.1, 0.0, 0.0) for x in goal_components],
         goal_time_tolerance=make["builtin_interfaces/msg/Duration"](goal_time_s, 0),
     )
     data = bytes(TYPES.serialize_cdr(request, "control_msgs/msg/SendRequest"))
@@ -89,6 +103,8 @@ def test_a_goal_is_reached_with_feedback(session, scene):
         assert message.joint_names == list(NAMES)
         error = message.desired.positions - message.actual.positions
         np.testing.assert_allclose(message.error.positions, error)
+        error = message.desired.velocities - message.actual.velocities
+        np.testing.assert_allclose(message.error.velocities, error)
     along = [message.desired.positions[0] for message in feedback]
     assert along[0] < -2.9
     assert along[-1] == pytest.approx(-2.0, abs=0.01)
@@ -100,6 +116,17 @@ def _status(backend):
         TYPES.deserialize_cdr(data, "action_msgs/msg/GoalStatusArray")
         for _, data in backend.sent[f"{ROOT}/status"]
     ]
+
+
+def test_the_reference_is_the_guidances_target_until_the_last_point(session, scene):
+    with served(session, scene) as door:
+        backend = door.backend
+        assert send(backend, 1, [(-2.7, *START[1:]), (-2.2, *START[1:])], [1.0, 3.0])
+        for _ in range(58):  # 2.9 s
+            backend.step()
+            _, data = backend.sent[f"{ROOT}/feedback"][-1]
+            desired = TYPES.deserialize_cdr(data, "control_msgs/msg/Feedback").desired.positions
+            np.testing.assert_array_equal(desired[:3], session.observe().target_m[0])
 
 
 def test_cancelled_the_robot_stays_where_it_is(session, scene):
@@ -163,6 +190,8 @@ def test_what_cannot_be_followed_is_rejected(session, scene):
         "too fast": dict(rows=[(50.0, *START[1:])], times=[1.0]),
         "no points": dict(rows=[], times=[]),
         "a tolerance of another joint": dict(rows=[START], times=[2.0], goal=[("knee", 1.0)]),
+        "a component on the way": dict(rows=[START], times=[2.0], path_components=["base"]),
+        "a component at the end": dict(rows=[START], times=[2.0], goal_components=["base"]),
         "a negative tolerance": dict(rows=[START], times=[2.0], path=[("x", -2.0)]),
     }
     with served(session, scene) as door:

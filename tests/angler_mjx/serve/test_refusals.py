@@ -160,6 +160,17 @@ def test_pace_is_a_word_or_a_number():
         ServeSettings(silence_s=0.0)
 
 
+@pytest.mark.parametrize("world", [0, 40, 2**31 - 1])
+def test_a_world_is_an_index_of_31_bits(world):
+    assert ServeSettings(world=world).world == world
+
+
+@pytest.mark.parametrize("world", [-1, 2**31])
+def test_another_world_is_refused(world):
+    with pytest.raises(ConfigError, match=f"--world {world}"):
+        ServeSettings(world=world)
+
+
 def test_a_transport_that_does_not_open_costs_no_compilation(scene, tmp_path):
     def broken():
         raise ConfigError("the port is in use")
@@ -169,3 +180,18 @@ def test_a_transport_that_does_not_open_costs_no_compilation(scene, tmp_path):
 
     with pytest.raises(ConfigError, match="in use"):
         serving.serve_session(scene, ServeSettings(), [broken], print, opener)
+
+
+def test_logs_of_vehicles_are_in_the_run_folder_where_there_is_one(scene, tmp_path):
+    logs = []
+
+    def opener(_, world, folder, report):
+        logs.append(folder)
+        raise ConfigError(f"world {world} is not opened")
+
+    for out in (None, tmp_path / "run"):
+        with pytest.raises(ConfigError, match="world 2 is not opened"):
+            serving.serve_session(scene, ServeSettings(out=out, world=2), [], print, opener)
+    assert logs[0] is None
+    assert logs[1].name == "robots"
+    assert logs[1].parent.parent == tmp_path

@@ -202,12 +202,48 @@ def test_a_pilot_who_takes_over_is_not_disturbed_and_gives_back_without_a_jump(l
     assert session.end_note == ""
 
 
-def test_a_vehicle_far_outside_the_fence_is_not_armed(launch, connect):
-    vehicle = launch(start=(0.0, 0.0, 8.0))
+@pytest.mark.parametrize("depth_m", [8.0, 5.1])
+def test_a_vehicle_more_than_a_metre_outside_the_fence_is_not_armed(launch, connect, depth_m):
+    vehicle = launch(start=(0.0, 0.0, depth_m))
     session = connect(fence=Fence(lower_m=(-2, -2, -4), upper_m=(2, 2, 0)))
     with pytest.raises(ConfigError, match=r"robot_0: is at .* outside the fence.*nothing is armed"):
         session.arm()
     assert not vehicle.armed
+
+
+def test_a_vehicle_less_than_a_metre_outside_the_fence_is_armed(launch, connect):
+    vehicle = launch(start=(0.0, 0.0, 4.9))
+    session = connect(fence=Fence(lower_m=(-2, -2, -4), upper_m=(2, 2, 0)))
+    session.arm()
+    assert vehicle.armed
+
+
+def test_a_vehicle_that_falls_silent_before_it_is_armed_is_named(launch, connect, clock):
+    vehicle, other = launch(sysid=1), launch(sysid=2, start=(3.0, 0.0, 3.0))
+    session = connect(robots=2, losses=LossLimits(link_s=0.6))
+    vehicle.silent = True
+    clock.sleep(0.3)
+    with pytest.raises(RunError, match=r"^robot_0: no message for \d\.\d s$"):
+        session.arm()
+    assert not vehicle.armed
+    assert not other.armed
+
+
+def test_the_limits_are_described_as_they_are_held(launch, connect):
+    launch()
+    limits = LossLimits(link_s=0.6, position_s=0.5)
+    fence = Fence(lower_m=(-2, -3, -4), upper_m=(2, 3, 0))
+    session = connect(max_speed_mps=0.4, fence=fence, losses=limits, at_end="surface")
+    assert session.describe_limits() == (
+        "held: speed of targets 0.4 m/s, fence x -2 to 2, y -3 to 3, z -4 to 0 m; surface at the "
+        "end, after 0.6 s without messages, and after 0.5 s without a position"
+    )
+
+
+def test_the_fence_is_the_region_of_the_world_where_none_is_stated(launch, connect):
+    launch()
+    cube = [[-12.0, -12.0, -24.0], [12.0, 12.0, 0.0]]  # 24 m of open water
+    assert connect().summarise()["fence_m"] == cube
 
 
 def test_an_episode_begins_in_the_fence(launch, connect):
@@ -223,6 +259,20 @@ def test_an_episode_begins_in_the_fence(launch, connect):
     assert seen.status[0].outcome is Outcome.OUT_OF_BOUNDS
     # The scenario's episode is over; the vehicle can still be commanded.
     assert session.step({0: pose(0.0, 0.0, -0.5)}).status[0].refused == ""
+
+
+def test_an_episode_has_not_begun_before_the_vehicle_flies_inside_the_fence(launch, connect):
+    vehicle = launch()
+    session = connect()
+    run(session, 0.2)  # inside, not armed
+    vehicle.position = [0.0, 0.0, -0.6]  # lifted out of the water
+    assert run(session, 0.3).status[0].outcome is Outcome.RUNNING
+    session.arm()  # outside
+    assert run(session, 0.3).status[0].outcome is Outcome.RUNNING
+    vehicle.position = [0.0, 0.0, 0.5]
+    assert run(session, 0.3).status[0].outcome is Outcome.RUNNING
+    vehicle.stuck, vehicle.position = True, [0.0, 0.0, -0.6]
+    assert run(session, 0.2).status[0].outcome is Outcome.OUT_OF_BOUNDS
 
 
 def test_plans_are_resumed_from_where_the_robots_are(launch, connect):

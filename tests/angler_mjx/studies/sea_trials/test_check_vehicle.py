@@ -427,6 +427,11 @@ def test_a_value_that_swings_is_not_steady():
     assert measures.average_end(small) == (pytest.approx(1.0), "")
 
 
+def test_the_end_of_a_short_series_is_its_last_value():
+    """A twentieth of three values is less than one of them."""
+    assert measures.average_end(np.array([0.0, 5.0, 5.0])) == (5.0, "")
+
+
 def test_a_planar_vehicle_is_held(tmp_path):
     config = load_vehicle("otter")
     result = check_vehicle(config, only=["heave", "roll", "pitch", "surge ahead"])
@@ -524,3 +529,30 @@ def test_a_torpedo_with_fins_steers_by_its_rudder_and_does_not_hover():
     Y_v, Y_r, N_v, N_r, mass = -28.6, 5.22, -24.0, -2.0, 30.48
     assert Y_v * N_r - N_v * (Y_r - mass) < 0.0
     assert values["spiral", "height of the loop, unsteered"].note == "turns by itself"
+
+
+def test_fins_push_by_the_dynamic_pressure_of_the_terminal_speed():
+    """REMUS: Y_uudr = 9.64 kg/(m rad) in sea water, X_uu = -1.62 kg/m (Prestero 2001)."""
+    config = load_vehicle("remus100")
+    actuators = build_actuators(config, 16.0)
+    _, forward = thrust_limits(config)
+    speed = balance(forward, 0.0, 1.62)
+    force = 9.64 * 1000.0 / 1030.0 * speed**2  # N per rad in fresh water
+    rudder, stern_plane = actuators.effect[:, -2:].T
+    np.testing.assert_allclose(rudder[:3], [0.0, force, 0.0], rtol=1e-2, atol=1e-6)
+    np.testing.assert_allclose(stern_plane[:3], [0.0, 0.0, -force], rtol=1e-2, atol=1e-6)
+    # 0.638 m behind the centre of mass.
+    assert rudder[5] == pytest.approx(-0.638 * force, rel=1e-2)
+    assert stern_plane[4] == pytest.approx(-0.638 * force, rel=1e-2)
+    assert actuators.fins == 2
+    np.testing.assert_allclose(
+        [actuators.lower[-2:], actuators.upper[-2:]], [[-0.26] * 2, [0.26] * 2]
+    )
+
+
+def test_tanks_and_moving_masses_stay_in_the_middle():
+    """The three of Sea-Wing are its last actuators, and push nowhere by themselves."""
+    actuators = build_actuators(load_vehicle("seawing"), 16.0)
+    assert actuators.fins >= 3
+    for numbers in (actuators.lower, actuators.upper, *actuators.effect):
+        np.testing.assert_array_equal(numbers[-3:], 0.0)

@@ -75,6 +75,13 @@ def test_a_part_of_the_load_weighs_and_drags():
     np.testing.assert_array_equal(find_excess("law", gains, nothing), 0.0)
 
 
+def test_a_part_is_at_the_centre_of_mass_where_no_depth_is_stated():
+    attitude = Rotation.from_euler("ZYX", [1.0, 0.3, -0.2])
+    wrench = find_wrench(CargoPartGains(weight_n=8.0), believe(attitude, np.zeros(6)))
+    np.testing.assert_allclose(wrench[:3], attitude.inv().apply([0.0, 0.0, -8.0]), atol=1e-5)
+    np.testing.assert_array_equal(wrench[3:], 0.0)
+
+
 def follow_admittance(gains, estimate, seconds, command):
     """Return the targets [time, ...] of the law under a constant measurement."""
     carry, targets = admittance.reset(estimate), []

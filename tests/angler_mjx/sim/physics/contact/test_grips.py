@@ -219,3 +219,37 @@ def test_internal_forces_are_those_that_move_nothing():
     alone = measure_forces(GRIP, jnp.array([True, False]), pull)
     np.testing.assert_allclose(alone.internal_n, [0.0, 0.0])
     np.testing.assert_allclose(alone.force_n, [np.hypot(10, 3), 0.0])
+
+
+@pytest.mark.parametrize("body", [0, 1])
+def test_rows_are_velocities_and_errors_of_the_held_body_against_the_robots(body):
+    """Of two bodies the one that is held, wherever it stands among them."""
+    rng = np.random.default_rng(2)
+    layout, spec = replace(LAYOUT, obstacles=2), GripSpec(body=body)
+    p = np.concatenate([P, [[0.4, -0.3, 0.6]]])
+    turned = Rotation.concatenate([Q, Rotation.from_rotvec([0.3, -0.5, 0.2])])
+    turn = turned.as_matrix()
+
+    @jax.jit
+    def find_rows(p, turn):
+        """Return rows at a pose of grips that were taken at the first one."""
+        grips = take_hold(spec, *start)
+        points = find_grip_points(spec, p[:2], turn[:2], None)
+        rows = find_grip_rows(spec, layout, grips, points, p, turn)
+        return rows.J, rows.error
+
+    q = jnp.asarray(wxyz(turned))
+    start = jnp.asarray(p[:2]), q[:2], jnp.asarray(p[2:]), q[2:]
+    J, error = find_rows(p, turn)
+    velocity = rng.normal(size=(4, 6))  # linear in W, angular in the frame of each
+    angular = np.einsum("bij,bj->bi", turn, velocity[:, 3:])
+    held = 2 + body
+    at_grip = velocity[held, :3] + np.cross(angular[held], p[:2] - p[held])
+    want = np.concatenate([at_grip - velocity[:2, :3], angular[held] - angular[:2]], axis=1)
+    np.testing.assert_allclose(J @ velocity.ravel(), want, atol=1e-12)
+    np.testing.assert_allclose(error, 0.0, atol=1e-12)
+    # After a short time the error is the way at those velocities.
+    time_s = 1e-6
+    later = Rotation.from_rotvec(time_s * angular) * turned
+    _, error = find_rows(p + time_s * velocity[:, :3], later.as_matrix())
+    np.testing.assert_allclose(error / time_s, want, atol=1e-4)
