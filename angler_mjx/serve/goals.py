@@ -207,11 +207,23 @@ class GoalServer:
         )
         elapsed_s = max(0.0, time_s - goal.start_s)
         desired, rate = self._desired(goal, elapsed_s, observation, actual)
-        self._publish_feedback(goal, time_s, names, desired, rate, actual, speed)
+        error, rate_error = self._wrap(desired - actual), rate - speed
+        self._publish_feedback(
+            goal, time_s, names, (desired, rate), (actual, speed), (error, rate_error)
+        )
         code = next(
             (code for code in ResultCode if status.note.startswith(code.name)), ResultCode.ACTIVE
         )
-        self._judge_code(goal, code, elapsed_s, desired - actual, rate - speed, observation)
+        self._judge_code(goal, code, elapsed_s, error, rate_error, observation)
+
+    def _wrap(self, error: Floats) -> Floats:
+        """Return errors of joints; of continuous ones within [-pi, pi) rad."""
+        return np.array(
+            [
+                np.remainder(value + np.pi, 2 * np.pi) - np.pi if is_continuous(name) else value
+                for name, value in zip(self._joints, error, strict=True)
+            ]
+        )
 
     def _judge_code(
         self,
@@ -224,12 +236,6 @@ class GoalServer:
     ) -> None:
         """Finish a goal by the code of its session and by the tolerances of the goal."""
         time_s = observation.time_s
-        error = np.array(
-            [
-                np.remainder(value + np.pi, 2 * np.pi) - np.pi if is_continuous(name) else value
-                for name, value in zip(self._joints, error, strict=True)
-            ]
-        )
         if code in (ResultCode.PATH_TOLERANCE_VIOLATED, ResultCode.GOAL_TOLERANCE_VIOLATED):
             text = observation.status[self._robot].note
             self._finish(goal, ABORTED, code, text, time_s)
@@ -325,12 +331,14 @@ class GoalServer:
         goal: _Goal,
         time_s: float,
         names: Sequence[str],
-        desired: Floats,
-        rate: Floats,
-        actual: Floats,
-        speed: Floats,
+        desired: tuple[Floats, Floats],
+        actual: tuple[Floats, Floats],
+        error: tuple[Floats, Floats],
     ) -> None:
-        def point(positions: Floats, velocities: Floats) -> ros.Message:
+        """Publish positions and velocities of all joints: desired, measured, and their errors."""
+
+        def point(values: tuple[Floats, Floats]) -> ros.Message:
+            positions, velocities = values
             return {
                 "positions": positions.tolist(),
                 "velocities": velocities.tolist(),
@@ -340,9 +348,9 @@ class GoalServer:
         feedback = {
             "header": ros.make_header(time_s, ""),
             "joint_names": list(names),
-            "desired": point(desired, rate),
-            "actual": point(actual, speed),
-            "error": point(desired - actual, rate - speed),
+            "desired": point(desired),
+            "actual": point(actual),
+            "error": point(error),
         }
         self._publish("feedback", {"goal_id": {"uuid": list(goal.uuid)}, "feedback": feedback})
 

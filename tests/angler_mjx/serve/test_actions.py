@@ -111,6 +111,27 @@ def test_a_goal_is_reached_with_feedback(session, scene):
     assert np.all(np.diff(along) > -1e-6)
 
 
+def test_errors_of_the_heading_are_less_than_half_a_turn(session, scene):
+    """The reference passes 180 degrees; the measured heading then counts from -180."""
+    with served(session, scene) as door:
+        backend = door.backend
+        here = START[:3]
+        assert send(backend, 1, [(*here, 2.0), (*here, 3.6)], [3.0, 6.0])
+        for _ in range(130):  # 6.5 s
+            backend.step()
+        feedback = [
+            TYPES.deserialize_cdr(data, "control_msgs/msg/Feedback")
+            for _, data in backend.sent[f"{ROOT}/feedback"]
+        ]
+    yaw = NAMES.index("yaw")
+    pairs = [(m.desired.positions[yaw] - m.actual.positions[yaw], m) for m in feedback]
+    assert max(apart for apart, _ in pairs) > np.pi
+    for apart, message in pairs:
+        error = message.error.positions[yaw]
+        assert abs(error) < 1.0
+        assert np.cos(error - apart) == pytest.approx(1.0)
+
+
 def _status(backend):
     return [
         TYPES.deserialize_cdr(data, "action_msgs/msg/GoalStatusArray")
