@@ -234,6 +234,12 @@ def test_cells_of_tables_are_marked_by_the_length_of_their_texts():
     assert [cell["classes"] for cell in cells] == [[], ["long"], ["middling"]]
 
 
+def test_code_with_a_word_wider_than_a_phone_is_marked():
+    page = publish_doctree("``--out DIR`` ``tests/angler_mjx/studies/test_running.py``")
+    tables.mark_words(None, page)
+    assert [code["classes"] for code in page.findall(nodes.literal)] == [[], ["breaks"]]
+
+
 def test_cells_of_notebooks_are_shown_in_their_language(tmp_path):
     sources = {
         "%%bash\nangler --help": "````bash\nangler --help\n````",

@@ -1,4 +1,4 @@
-"""Extension of Sphinx: cells of tables that hold texts keep a width to read them in."""
+"""Extension of Sphinx: classes of the style sheet for cells of tables and for long names."""
 
 from typing import Any
 
@@ -6,6 +6,10 @@ from docutils import nodes
 
 CLASSES = ((60, "long"), (25, "middling"))
 """Numbers of characters above which a cell has a class of the style sheet."""
+
+
+LONG_WORD = (26, "breaks")
+"""Number of characters above which a word of code breaks on a phone, and its class."""
 
 
 def mark_cells(app: object, doctree: nodes.document) -> None:
@@ -16,7 +20,17 @@ def mark_cells(app: object, doctree: nodes.document) -> None:
         entry["classes"] += [name for limit, name in CLASSES if size > limit][:1]
 
 
+def mark_words(app: object, doctree: nodes.document) -> None:
+    """Mark code with words that are wider than a phone."""
+    del app
+    limit, name = LONG_WORD
+    for literal in doctree.findall(nodes.literal):
+        if any(len(word) > limit for word in literal.astext().split()):
+            literal["classes"].append(name)
+
+
 def setup(app: Any) -> dict[str, bool]:
-    """Connect the function above to Sphinx."""
+    """Connect the functions above to Sphinx."""
     app.connect("doctree-read", mark_cells)
+    app.connect("doctree-read", mark_words)
     return {"parallel_read_safe": True}
