@@ -4,7 +4,7 @@ from typing import Any
 
 from docutils import nodes
 
-CLASSES = ((60, "long"), (25, "middling"))
+CLASSES = ((60, "long"), (18, "middling"))
 """Numbers of characters above which a cell has a class of the style sheet."""
 
 
