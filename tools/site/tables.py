@@ -8,7 +8,7 @@ CLASSES = ((60, "long"), (18, "middling"))
 """Numbers of characters above which a cell has a class of the style sheet."""
 
 
-LONG_WORD = (26, "breaks")
+LONG_WORD = (30, "breaks")
 """Number of characters above which a word of code breaks on a phone, and its class."""
 
 
