@@ -26,16 +26,16 @@ def export(
         force: Replace an older bag.
     """
     world_indices = None if worlds is None else parse_indices(worlds)
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
+    from angler_mjx.cli.shared.consoles import make_progress_console
     from angler_mjx.report.interop import mcap as bags
     from angler_mjx.report.viewing.world_selection import good_world, worst_world
     from angler_mjx.runs.storage.folder import Run
 
     loaded = Run(run)
     columns = ("samples", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with Progress(*columns, console=make_progress_console()) as bar:
         task = bar.add_task("samples", total=None)
         bags.export_bag(
             loaded,

@@ -105,13 +105,13 @@ def _build_view(
 
 def _write_video(run: "Run", world: int, path: Path, view: "View") -> None:
     """Write a video, with a progress bar."""
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
+    from angler_mjx.cli.shared.consoles import make_progress_console
     from angler_mjx.report.video import write_video
 
     columns = ("frames", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with Progress(*columns, console=make_progress_console()) as bar:
         task = bar.add_task("frames", total=None)
         written = write_video(
             run,

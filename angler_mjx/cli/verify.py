@@ -38,14 +38,14 @@ def verify(
         worlds: Indices of the worlds, as in 0,3; all finished worlds if left out.
         json: Print one JSON object instead of the table.
     """
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
+    from angler_mjx.cli.shared.consoles import make_progress_console
     from angler_mjx.testing import referee
 
     world_indices = None if worlds is None else parse_indices(worlds)
     columns = ("worlds", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True, quiet=json)) as bar:
+    with Progress(*columns, console=make_progress_console(quiet=json)) as bar:
         task = bar.add_task("worlds", total=None)
         verdict = referee.judge(
             run, world_indices, lambda done, total: bar.update(task, completed=done, total=total)

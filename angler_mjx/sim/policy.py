@@ -50,15 +50,15 @@ MAX_AHEAD_S = 86400
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class PolicyInput:
-    """What the robots of one world know; [R] leads.
+    """Information of the robots of one world; [R] leads.
 
-    Of their own motion nothing is the truth where a scenario tells the robots something else;
-    outcomes and other worlds are not in it. What a policy commanded before, it can keep itself.
-    The scenery is given to a policy with `Policy.information`, and None to any other.
+    Motion is the estimate of each robot, which is the truth only where the scenario says so.
+    Outcomes and other worlds are not in it. Earlier commands are for the policy to keep. Rock,
+    obstacles and current are None unless the policy has `Policy.information`.
     """
 
     belief: Belief
-    """Of their own motion; ``flow`` is the current where they are told the truth or noise on it."""
+    """Estimate of each robot's motion; ``flow`` is the current, where the estimate has it."""
     time_s: jax.Array
     """[] since the start."""
     goal_m: jax.Array
@@ -66,7 +66,7 @@ class PolicyInput:
     path: Plan
     """As the planner made them, before the start."""
     params: ControlParams
-    """Their vehicles as their controllers know them."""
+    """Vehicles as the controllers model them."""
     grid: Grid | None = None
     """Rock."""
     floor_z_m: jax.Array | None = None
@@ -76,11 +76,11 @@ class PolicyInput:
     current: CurrentInformation | None = None
     """The water's motion, as far as it may be known now; its times run from now on."""
     others: HeardRobots | None = None
-    """What robots have heard of each other; None where everybody knows everything."""
+    """Packets that robots received from each other; None without acoustics."""
     routes: Routes | None = None
-    """Ways to places of the world, for a policy that asks by `Policy.routes_margin_m`."""
+    """Routes to the positions of the world; None without `Policy.routes_margin_m`."""
     goal_index: jax.Array | None = None
-    """int32 [R] place of the routes to which each robot goes; -1: none, it stays."""
+    """int32 [R] index of the goal of each robot among the routes; -1: none, it stays."""
     joint_position: jax.Array | None = None
     """[R, J] positions of the joints of arms, rad or m, as encoders show them; without meaning for
     a robot without an arm. None where no robot has one."""
@@ -95,17 +95,7 @@ class PolicyInput:
 
 
 class Policy(ABC):
-    """Commands all robots of a world; a frozen dataclass registered with ``jax.tree_util``.
-
-    Attributes:
-        period: control steps from one call of `act` to the next; its command holds until then.
-        information: levels of the scenery at each call; None: no scenery is given.
-        observation_period: control steps from one observation of the scenery to the next; no
-            obstacle exists in the steps between. For policies that look far ahead at a high cost.
-        ahead_s: how far ahead of a call true and predicted motion of obstacles is told.
-        routes_margin_m: worlds are drawn with ways to places that keep so much beside the widest
-            robot's radius; None: without.
-    """
+    """Commands all robots of a world; a frozen dataclass registered with ``jax.tree_util``."""
 
     renamed_attributes: ClassVar[Mapping[str, str]] = {
         "flown": "executed_plans",
@@ -115,10 +105,17 @@ class Policy(ABC):
     }
     """Attributes by their names before 0.2; policies that have those work until 1.0."""
     period: int = 1
+    """Control steps from one call of `act` to the next; its command holds until then."""
     information: Information | None = None
+    """Information levels of rock, obstacles and current at each call; None: they are not passed."""
     observation_period: int = 1
+    """Control steps from one observation of rock, obstacles and current to the next; no obstacle
+    exists in the steps between. For policies that look far ahead at a high cost."""
     ahead_s: float = 0.0
+    """Time [s] after a call over which obstacles have true and predicted motion."""
     routes_margin_m: float | None = None
+    """Margin [m] beside the widest robot's radius of the routes that worlds are sampled with; None:
+    worlds have no routes."""
 
     def __init_subclass__(cls, **arguments: object) -> None:
         """Accept attributes and methods by their names before 0.2."""
@@ -170,7 +167,7 @@ class Policy(ABC):
             path: [R] planned before the start.
 
         Returns:
-            Plans [R] and times [R] s: a robot arrives on the last approach of its plan to its goal.
+            Plans [R] and times [R] s. A robot arrives on the last approach of its plan to its goal.
             None where `act` commands plans themselves, or where the distance to the goal alone
             counts.
         """

@@ -96,7 +96,7 @@ class SimSpec:
     also: tuple[str, ...] = ()
     """What is recorded only where it is asked for (`angler_mjx.sim.record.RecordOption`)."""
     acoustics: Channel | None = None
-    """That robots talk by; None: everybody knows everything at once."""
+    """Acoustic channel between the robots; None: information on others is immediate."""
     task: TaskSpec | None = None
     """What the robots of a world have to do; None where each has a goal of its own."""
     contact: ContactSpec | None = None

@@ -89,7 +89,7 @@ def check_session(
         only: names of the checks to run; all of them if left out.
 
     Returns:
-        The result of each check, if there is no failure: passed, or skipped with the reason.
+        The result of each check, passed or skipped with the reason, if none fails.
 
     Raises:
         NonConformanceError: naming every failed check with its fault.

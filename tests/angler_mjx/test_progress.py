@@ -1,6 +1,9 @@
 """Progress: silent by default, and shown by one bar or by lines."""
 
+import os
+import pty
 import re
+import sys
 
 import pytest
 
@@ -36,6 +39,38 @@ def test_a_quiet_bar_shows_nothing(capsys):
     with ProgressBar(quiet=True) as bar:
         work(bar)
     assert capsys.readouterr() == ("", "")
+
+
+CONTROL = "\x1b["
+
+
+def test_a_bar_in_a_pipe_prints_no_control_codes_even_if_colour_is_forced(capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with ProgressBar() as bar:
+        work(bar)
+    shown = capsys.readouterr().err
+    assert CONTROL not in shown
+    assert shown.count("flights") == 1
+
+
+@pytest.mark.parametrize("is_kernel", [False, True])
+def test_a_bar_is_redrawn_on_a_terminal_but_not_in_a_cell_of_a_notebook(monkeypatch, is_kernel):
+    monkeypatch.setenv("TERM", "xterm-color")
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    if is_kernel:
+        monkeypatch.setenv("JPY_PARENT_PID", "1")
+    else:
+        monkeypatch.delenv("JPY_PARENT_PID", raising=False)
+    reader, writer = pty.openpty()
+    with os.fdopen(writer, "w") as terminal:
+        monkeypatch.setattr(sys, "stderr", terminal)
+        with ProgressBar() as bar:
+            work(bar)
+        terminal.flush()
+        shown = os.read(reader, 100_000).decode()
+    os.close(reader)
+    assert "compiled in 1.0 s" in shown
+    assert (CONTROL in shown) != is_kernel
 
 
 def test_lines_have_seconds_and_amounts_not_more_than_once_a_second(capsys, monkeypatch):

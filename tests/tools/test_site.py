@@ -5,10 +5,12 @@ import re
 from pathlib import Path
 
 import pytest
+from docutils import nodes
+from docutils.core import publish_doctree
 
 import angler_mjx
 from tools.site import __main__ as site
-from tools.site import api, examples, gallery, menu, notebook_pages, staging
+from tools.site import api, examples, gallery, menu, notebook_pages, staging, tables
 from tools.site.checking import check_site
 
 ROOT = Path(__file__).parents[2]
@@ -146,6 +148,7 @@ def test_a_site_without_faults_has_none(tmp_path):
         ('<script src="https://x.y/z.js"></script>', "https://x.y/z.js: loaded from outside"),
         ('<link rel="stylesheet" href="//x.y/z.css">', "//x.y/z.css: loaded from outside"),
         ('<a href="file:///x">x</a>', "file:///x: unknown scheme"),
+        ("<pre>a ([<b>x</b>](y/z.md#q))</pre>", "shown as it stands, as in a block of code"),
     ],
 )
 def test_a_fault_of_a_page_is_found(tmp_path, body, fault):
@@ -201,6 +204,40 @@ def test_the_text_of_an_example_is_its_docstring_or_its_first_comment(tmp_path):
     assert examples.read_description(tmp_path / "a.py") == ("Fly", "It is quick.\n\nMore.")
     (tmp_path / "a.cpp").write_text("// Shortest paths: of all.\n// Build: cc\n\nint main;\n")
     assert examples.read_description(tmp_path / "a.cpp") == ("Shortest paths", "Of all. Build: cc")
+
+
+def test_pages_that_an_example_names_are_links(tmp_path):
+    folder, target = tmp_path / "examples", tmp_path / "source"
+    folder.mkdir()
+    target.mkdir()
+    (folder / "a.py").write_text('"""Fly.\n\nTasks (docs/reference/tasks.md).\n"""\n')
+    examples.write_pages(folder, target)
+    text = (target / "examples.md").read_text()
+    assert "Tasks ([reference/tasks.md](reference/tasks.md))." in text
+
+
+def test_a_changelog_has_versions_without_brackets_and_none_without_text():
+    changes = "# Changes\n\n## [Unreleased]\n\n## [1.0] - 2026-11-29\n\n- [x](y.md)\n"
+    assert staging.format_changes(changes) == "# Changes\n\n## 1.0 - 2026-11-29\n\n- [x](y.md)\n"
+    new = changes.replace("[Unreleased]\n", "[Unreleased]\n\n- z\n")
+    assert "## Unreleased\n\n- z\n" in staging.format_changes(new)
+
+
+def test_cells_of_tables_are_marked_by_the_length_of_their_texts():
+    long = "a cell of more than sixty characters, which has to keep some width"
+    page = publish_doctree(
+        f".. list-table::\n\n   * - short\n     - {long}\n     - {long[:40]}\n",
+        settings_overrides={"report_level": 5},
+    )
+    tables.mark_cells(None, page)
+    cells = list(page.findall(nodes.entry))
+    assert [cell["classes"] for cell in cells] == [[], ["long"], ["middling"]]
+
+
+def test_code_with_a_word_wider_than_a_phone_is_marked():
+    page = publish_doctree("``--out DIR`` ``tests/angler_mjx/studies/test_running.py``")
+    tables.mark_words(None, page)
+    assert [code["classes"] for code in page.findall(nodes.literal)] == [[], ["breaks"]]
 
 
 def test_cells_of_notebooks_are_shown_in_their_language(tmp_path):

@@ -9,6 +9,7 @@ from urllib.parse import unquote, urlsplit
 
 UNLISTED = {"search.html", "genindex.html", "py-modindex.html", "404.html"}
 """Pages that Sphinx adds; no menu has to reach them."""
+RAW_LINK = re.compile(r"\[[^\[\]\n]+\]\([^()\s]+\.(?:md|ipynb)(?:#[^()\s]*)?\)")
 LOADED = {
     "audio": ("src",),
     "embed": ("src",),
@@ -30,6 +31,7 @@ class Page:
     """Those of the links that stand in a menu."""
     loads: list[str] = field(default_factory=list)
     anchors: set[str] = field(default_factory=set)
+    text: list[str] = field(default_factory=list)
     nameless: list[str] = field(default_factory=list)
     """Pictures without a text for those who do not see them."""
 
@@ -54,6 +56,9 @@ class _Reader(HTMLParser):
         page.loads += [values[name] for name in LOADED.get(tag, ()) if values.get(name)]
         if tag == "img" and not values.get("alt", "").strip():
             page.nameless.append(values.get("src", ""))
+
+    def handle_data(self, data: str) -> None:
+        self.page.text.append(data)
 
     def handle_endtag(self, tag: str) -> None:
         self._menus -= tag == "nav"
@@ -95,6 +100,8 @@ def _check_page(file: Path, page: Page, pages: Mapping[Path, Page]) -> Iterator[
             yield f"{file}: {link}: loaded from outside"
         elif not link.startswith("data:") and not _resolve(file, link).exists():
             yield f"{file}: {link}: no such file"
+    for link in RAW_LINK.findall("".join(page.text)):
+        yield f"{file}: {link}: Markdown that is shown as it stands, as in a block of code"
     for source in page.nameless:
         yield f"{file}: {source}: a picture without a text"
 

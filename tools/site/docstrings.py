@@ -39,9 +39,9 @@ def drop_signature(
 def skip_foreign_member(
     app: object, what: str, name: str, value: object, skip: bool, options: object
 ) -> bool | None:
-    """Skip members that come from pydantic."""
+    """Skip members that come from pydantic, and tables of renamed names."""
     del app, what, value, options
-    return True if skip or name.startswith("model_") else None
+    return True if skip or name.startswith(("model_", "renamed_")) else None
 
 
 def link_pages(

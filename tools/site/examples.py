@@ -4,6 +4,7 @@ import ast
 import re
 from pathlib import Path
 
+PAGE = re.compile(r"docs/([a-z0-9_/]+\.md)")
 FIRST = ("rollout", "planner", "policy", "session", "current", "vehicle", "task", "gradient")
 LANGUAGES = {".py": "python", ".cpp": "cpp", ".toml": "toml"}
 
@@ -29,7 +30,7 @@ def write_pages(folder: Path, target: Path) -> None:
         lines += [
             f"## {title}",
             "",
-            text,
+            PAGE.sub(r"[\1](\1)", text),
             "",
             f"[`docs/examples/{file.name}`](examples/{file.name})",
             "",

@@ -125,9 +125,17 @@ def rewrite_links(page: Path, name: str, stage: Stage) -> str:
         return f"[{read_title(stage.root / found[1])}]({Path(path).as_posix()}{found[2] or ''})"
 
     text = read_page(page)
+    if page == stage.root / "CHANGELOG.md":
+        text = format_changes(text)
     text = _outside_code(text, lambda rest: LINK.sub(rewrite, rest))
     # Messages and docstrings name pages by their paths, so generated tables do as well.
     return NAMED_PAGE.sub(link_pages, text) if name.startswith(("generated/", PROJECT)) else text
+
+
+def format_changes(text: str) -> str:
+    """Return a changelog without brackets in headings, and without versions that have no text."""
+    text = re.sub(r"(?m)^## \[[^\]]+\]\n+(?=## |\Z)", "", text)
+    return re.sub(r"(?m)^## \[([^\]]+)\]", r"## \1", text)
 
 
 def _outside_code(text: str, change: Callable[[str], str]) -> str:
@@ -190,7 +198,8 @@ def _write_folder_index(target: Path, folder: str, title: str, stage: Stage) -> 
     pages = [page for page, name in stage.pages.items() if name.startswith(f"{folder}/")]
     rows = "\n".join(f"- [{read_title(page)}]({page.name})" for page in pages)
     names = "\n".join(page.stem for page in pages)
-    text = f"# {title}\n\n{rows}\n\n```{{toctree}}\n:hidden:\n\n{names}\n```\n"
+    about = "Each page records one decision: what was decided, why, and what was tried."
+    text = f"# {title}\n\n{about}\n\n{rows}\n\n```{{toctree}}\n:hidden:\n\n{names}\n```\n"
     (target / folder).mkdir(exist_ok=True)
     (target / folder / "index.md").write_text(text, encoding="utf-8")
 

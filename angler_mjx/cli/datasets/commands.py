@@ -302,13 +302,13 @@ def export_dataset(
         success: Export only episodes in which the whole team arrived (--success), or only the
             others.
     """
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
+    from angler_mjx.cli.shared.consoles import make_progress_console
     from angler_mjx.learning.datasets.exports import formats
 
     columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with Progress(*columns, console=make_progress_console()) as bar:
         task = bar.add_task("flights", total=None)
         written_path = formats.export_dataset(
             dataset,

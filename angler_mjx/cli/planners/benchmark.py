@@ -21,6 +21,7 @@ def benchmark(
     presets: tuple[str, ...] | None = None,
     teams: tuple[int, ...] | None = None,
     problems: int | None = None,
+    planner: tuple[str, ...] | None = None,
     workers: int | None = None,
     ray: str | None = None,
     resume: bool = False,
@@ -36,6 +37,8 @@ def benchmark(
         presets: World presets; the file's if left out.
         teams: Numbers of robots; the file's if left out.
         problems: Worlds of each preset, scene, team and seed; the file's if left out.
+        planner: Planners to compare, in place of the file's: labels and names of its entries, names
+            of angler plan --list, FILE.py:CLASS, or policies (mppi).
         workers: Number of planning processes; one for each processor if left out.
         ray: Address of a Ray cluster whose processors plan (ray start --head prints it), such as
             127.0.0.1:6379.
@@ -50,14 +53,16 @@ def benchmark(
     from angler_mjx.studies.benchmark import running
 
     if report:
-        if out or workers or ray or resume or presets or teams or problems:
+        if out or workers or ray or resume or presets or teams or problems or planner:
             raise ConfigError("--report: makes the page of a results folder; leave out other flags")
         print(running.rebuild_report(source))
         return
     source = find_shipped(source, "angler_mjx.studies.benchmark", "benchmark", folders=True)
     filters = {"presets": presets, "teams": teams, "problems": problems}
     study = running.read_benchmark(
-        source, **{key: x for key, x in filters.items() if x is not None}
+        source,
+        planners=planner,
+        **{key: x for key, x in filters.items() if x is not None},
     )
     name = f"{study.config.name}-again" if source.is_dir() else study.config.name
     out_path = out or Path("runs") / name

@@ -3,7 +3,6 @@
 from types import TracebackType
 from typing import Self
 
-from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -16,6 +15,7 @@ from rich.progress import (
 from rich.progress import Progress as RichProgress
 from rich.text import Text
 
+from angler_mjx.cli.shared.consoles import make_progress_console
 from angler_mjx.progress import Progress
 
 
@@ -47,7 +47,7 @@ class ProgressBar(Progress):
             _SpeedColumn(),
             TimeElapsedColumn(),
             TimeRemainingColumn(),
-            console=Console(stderr=True, quiet=quiet),
+            console=make_progress_console(quiet=quiet),
         )
         self._done = self._done_before = 0.0
         self._task = self._bar.add_task(description, total=None, steps=0, unit="")

@@ -61,13 +61,14 @@ def run_doctor(ardusub: Path | None = None, isolate: bool = False) -> None:
         isolation.isolate_network()
     from rich.console import Console
 
+    from angler_mjx.cli.shared.consoles import make_progress_console
     from angler_mjx.cli.shared.text_table import build_text_table as text_table
     from angler_sitl.firmware.doctor import run_checks
 
     table = text_table("", "looked at", "found")
     marks = {True: "[green]good", False: "[red]fault", None: "[yellow]note"}
     faults = []
-    with Console(stderr=True).status("looking"):
+    with make_progress_console().status("looking"):
         for check in run_checks(ardusub):
             table.add_row(marks[check.good], check.name, check.text)
             if check.good is False:
@@ -143,11 +144,12 @@ class _TransferBar:
     """Progress of a download on stderr."""
 
     def __init__(self) -> None:
-        from rich.console import Console
         from rich.progress import BarColumn, DownloadColumn, Progress, TransferSpeedColumn
 
+        from angler_mjx.cli.shared.consoles import make_progress_console
+
         self._bar = Progress(
-            BarColumn(), DownloadColumn(), TransferSpeedColumn(), console=Console(stderr=True)
+            BarColumn(), DownloadColumn(), TransferSpeedColumn(), console=make_progress_console()
         )
         self._task = self._bar.add_task("ardusub", total=None)
 

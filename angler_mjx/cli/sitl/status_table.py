@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from angler_mjx.cli.shared.consoles import make_progress_console
 from angler_mjx.errors import RunError
 from angler_mjx.runs.session.interface import Observation
 from angler_mjx.teleop.loop import Watcher
@@ -25,7 +26,7 @@ LINE_PERIOD_S = 10.0
 
 def status_table(session: SitlSession) -> AbstractContextManager[Watcher]:
     """Return the display that suits stderr."""
-    console = Console(stderr=True)
+    console = make_progress_console()
     return _LiveTable(session, console) if console.is_terminal else _LinePrinter(session, console)
 
 

@@ -16,6 +16,9 @@ class Column(NamedTuple):
     """As the database calls it, in its table of runs; in that of words if None."""
 
 
+RENAMED = {"flown_length_m": "path_length_m"}
+"""Columns of databases that older versions made, and their names now."""
+
 _F, _I, _B, _S = pa.float64(), pa.int32(), pa.bool_(), pa.string()
 
 MEASURE_COLUMNS: tuple[Column, ...] = (
@@ -27,7 +30,7 @@ MEASURE_COLUMNS: tuple[Column, ...] = (
     ),
     Column("planned", _B, "1", "every robot has a path", "solved"),
     Column("robots_planned", _I, "1", "robots that have one", ""),
-    Column("plan_length_m", _F, "m", "planned way of all robots", "solution_length"),
+    Column("plan_length_m", _F, "m", "planned length, sum of all robots", "solution_length"),
     Column("plan_makespan_s", _F, "s", "when the last path is over", ""),
     Column("plan_flowtime_s", _F, "s", "sum of the times of all paths", ""),
     Column("plan_turn_rad", _F, "rad", "turning along a path, mean of robots", "solution_turning"),
@@ -45,7 +48,7 @@ MEASURE_COLUMNS: tuple[Column, ...] = (
         "times that a robot on its way got no new plan, sum of robots; null if none was asked for",
         "",
     ),
-    Column("flown_length_m", _F, "m", "flown way of all robots", ""),
+    Column("path_length_m", _F, "m", "flown length, sum of all robots", ""),
     Column("energy_j", _F, "J", "electrical energy of the thrusters of all robots", ""),
     Column("min_clearance_m", _F, "m", "least hull distance to cells, floor, obstacles", ""),
     Column("min_separation_m", _F, "m", "least hull distance of two robots, at most 1", ""),

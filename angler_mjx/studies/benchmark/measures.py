@@ -74,7 +74,7 @@ def measure_flight(robots: Sequence[Mapping[str, Any]], whole: bool) -> Row:
         "robots_reached": len(reached),
         "reached": len(reached) == len(robots),
         "success": success,
-        "flown_length_m": float(sum(robot["path_length_m"] for robot in robots)),
+        "path_length_m": float(sum(robot["path_length_m"] for robot in robots)),
         "energy_j": float(sum(robot["energy_j"] for robot in robots)),
         "min_clearance_m": float(min(robot["min_clearance_m"] for robot in robots)),
         "min_separation_m": _min_or_none([robot["min_separation_m"] for robot in robots]),

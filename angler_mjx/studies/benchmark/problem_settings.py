@@ -20,13 +20,14 @@ from angler_mjx.scenario.task_table import require_goal_task
 from angler_mjx.sim.information import Information
 from angler_mjx.studies.benchmark import compared_planners as compared
 from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
-from angler_mjx.studies.benchmark.config import BenchmarkConfig
+from angler_mjx.studies.benchmark.config import POLICIES, BenchmarkConfig
 from angler_mjx.studies.grid import (
     GridCell,
     build_changes_axis,
     find_reserved_key,
     iterate_cells,
 )
+from angler_mjx.user_classes import make_name_absolute
 
 RESERVED_KEYS = {
     "worlds": "problems",
@@ -136,11 +137,15 @@ class Benchmark:
         }
 
 
-def read_benchmark(path: Path, **overrides: object) -> Benchmark:
+def read_benchmark(
+    path: Path, *, planners: Sequence[str] | None = None, **overrides: object
+) -> Benchmark:
     """A benchmark from its file.
 
     Args:
         path: of the file.
+        planners: names of the compared planners and policies, as `select_entries` takes them; the
+            file's if None.
         **overrides: top-level keys that replace those of the file.
 
     Raises:
@@ -148,7 +153,10 @@ def read_benchmark(path: Path, **overrides: object) -> Benchmark:
         UnsupportedError: the libraries of a planner are not installed.
     """
     table = {**read_toml(path), **overrides}
-    source = str(path) + (f" with other {', '.join(overrides)}" if overrides else "")
+    if planners is not None:
+        table["planner"] = select_entries(table.get("planner"), planners, Path.cwd())
+    other = [*overrides, *([] if planners is None else ["planner"])]
+    source = str(path) + (f" with other {', '.join(other)}" if other else "")
     folder = path.absolute().parent
     config = parse_model(BenchmarkConfig, table, source=source, context={FOLDER_CONTEXT: folder})
     scenario = load_relative_scenario(config.scenario, folder)
@@ -158,6 +166,30 @@ def read_benchmark(path: Path, **overrides: object) -> Benchmark:
         also=(CarryTask,),
     )
     return build_benchmark(config, scenario, str(path))
+
+
+def select_entries(entries: object, names: Sequence[str], folder: Path) -> list[object]:
+    """Return tables of [[planner]] for names.
+
+    Args:
+        entries: tables of a benchmark file, unchecked. A name selects those of that label, name or
+            policy.
+        names: labels of entries, planners, FILE.py:CLASS, or policies; a name that selects no entry
+            makes one with default settings.
+        folder: base of the paths of files.
+    """
+    listed = (
+        [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
+    )
+    selected: list[object] = []
+    for name in names:
+        made = {"policy" if name in POLICIES else "name": make_name_absolute(name, folder)}
+        selected += [
+            entry
+            for entry in listed
+            if name in (entry.get("label"), entry.get("name"), entry.get("policy"))
+        ] or [made]
+    return selected
 
 
 def build_benchmark(config: BenchmarkConfig, scenario: Scenario, source: str) -> Benchmark:

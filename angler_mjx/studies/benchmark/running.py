@@ -32,26 +32,30 @@ from angler_mjx.studies.benchmark.report import page
 from angler_mjx.studies.benchmark.store import FILE, STATUS, BenchmarkStore
 
 
-def read_benchmark(source: Path, **overrides: object) -> Benchmark:
+def read_benchmark(
+    source: Path, *, planners: Sequence[str] | None = None, **overrides: object
+) -> Benchmark:
     """A benchmark from its file, or from the results folder of one that is to be made again.
 
     Args:
         source: the file or the folder.
+        planners: names of the compared planners and policies; the file's if None.
         **overrides: top-level keys that replace those of the file.
 
     Raises:
         ConfigError: naming the faults; or keys are given with a folder.
         UnsupportedError: the libraries of a planner are not installed.
     """
-    if source.is_dir() and overrides:
+    replaced = [*overrides, *([] if planners is None else ["planner"])]
+    if source.is_dir() and replaced:
         raise ConfigError(
-            f"{source}: is made again as it was; leave out {', '.join(overrides)}, or give the "
+            f"{source}: is made again as it was; leave out {', '.join(replaced)}, or give the "
             "benchmark file"
         )
     return (
         folder.read_folder(source)
         if source.is_dir()
-        else problem_settings.read_benchmark(source, **overrides)
+        else problem_settings.read_benchmark(source, planners=planners, **overrides)
     )
 
 

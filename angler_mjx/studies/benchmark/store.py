@@ -17,7 +17,7 @@ from types import TracebackType
 from typing import Self
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.studies.benchmark.columns import NUMBER_COLUMNS, POLICY, TEXT_COLUMNS
+from angler_mjx.studies.benchmark.columns import NUMBER_COLUMNS, POLICY, RENAMED, TEXT_COLUMNS
 from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
 from angler_mjx.studies.benchmark.problem_settings import Setting
 
@@ -93,13 +93,17 @@ class BenchmarkStore:
                 self._write("INSERT INTO enums VALUES (?, ?, ?)", rows)
             self._base.execute("SELECT count(*) FROM closed")
             if not only_read:
-                self._add_missing_columns()
+                self._update_columns()
         except sqlite3.DatabaseError as error:
             raise self._name_error(error) from error
 
-    def _add_missing_columns(self) -> None:
-        """Columns of runs that a database of an older version lacks, empty."""
+    def _update_columns(self) -> None:
+        """Rename columns of runs in a database of an older version, and add those that it lacks."""
         existing = {row["name"] for row in self._base.execute("PRAGMA table_info(runs)")}
+        for old, new in RENAMED.items():
+            if old in existing and new not in existing:
+                self._base.execute(f"ALTER TABLE runs RENAME COLUMN {old} TO {new}")
+                existing.add(new)
         for column, name in NUMBER_COLUMNS:
             if name not in existing:
                 kind = _KINDS[str(column.kind)]

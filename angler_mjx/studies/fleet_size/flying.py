@@ -28,7 +28,7 @@ class TileValues(TypedDict):
     arrived: list[int]
     lost: list[int]
     energy_j: list[float]
-    path_m: list[float]
+    path_length_m: list[float]
     no_room: list[bool]
     planned: list[int | None]
 
@@ -109,7 +109,7 @@ def merge_parts(condition: Condition, size: int, first: int, parts: Sequence[Bat
         arrived=[x for tile in tiles for x in tile["arrived"]],
         lost=[x for tile in tiles for x in tile["lost"]],
         energy_j=[x for tile in tiles for x in tile["energy_j"]],
-        path_m=[x for tile in tiles for x in tile["path_m"]],
+        path_length_m=[x for tile in tiles for x in tile["path_length_m"]],
         no_room=[x for tile in tiles for x in tile["no_room"]],
         planned=[x for tile in tiles for x in tile["planned"]],
     )
@@ -144,7 +144,7 @@ def _summarise_tile(
         "arrived": np.sum(reached, axis=1).tolist(),
         "lost": np.sum(~reached & (result.outcome != Outcome.TIMEOUT), axis=1).tolist(),
         "energy_j": np.sum(result.tally.energy_j, axis=1, dtype=float).round(3).tolist(),
-        "path_m": np.sum(result.tally.path_length_m, axis=1, dtype=float).round(3).tolist(),
+        "path_length_m": np.sum(result.tally.path_length_m, axis=1, dtype=float).round(3).tolist(),
         "no_room": no_room.tolist(),
         "planned": planned if result.task is None else [None] * len(planned),
     }

@@ -26,7 +26,9 @@ SCHEMA = pa.schema(
         pa.field("arrived", pa.int32(), metadata={"description": "robots that did their part"}),
         pa.field("lost", pa.int32(), metadata={"description": "robots that ended otherwise"}),
         pa.field("energy_j", pa.float64(), metadata={"unit": "J", "description": "of the team"}),
-        pa.field("path_m", pa.float64(), metadata={"unit": "m", "description": "of the team"}),
+        pa.field(
+            "path_length_m", pa.float64(), metadata={"unit": "m", "description": "of the team"}
+        ),
         pa.field("no_room", pa.bool_(), metadata={"description": "no room for the team"}),
     ]
 )
@@ -61,7 +63,7 @@ class SizeRow(TypedDict):
     no_room: int
     lost_per_robot: float
     energy_j: float
-    path_m: float
+    path_length_m: float
     median_s: QuantileRow
     p90_s: QuantileRow
 
@@ -216,7 +218,7 @@ def _summarise_size(
         "no_room": sum(sum(batch.no_room) for batch in batches),
         "lost_per_robot": float(np.mean([x for batch in batches for x in batch.lost])) / size,
         "energy_j": float(np.mean([x for batch in batches for x in batch.energy_j])),
-        "path_m": float(np.mean([x for batch in batches for x in batch.path_m])),
+        "path_length_m": float(np.mean([x for batch in batches for x in batch.path_length_m])),
         "median_s": _estimate_quantile(times, 0.5, alpha),
         "p90_s": _estimate_quantile(times, 0.9, alpha),
     }
@@ -244,7 +246,7 @@ def write_results(path: Path, study: FleetSizeStudy, batches: Sequence[Batch]) -
         columns["success"] += [
             t is not None and t <= study.config.deadline_s for t in batch.completed_s
         ]
-        for name in ("completed_s", "arrived", "lost", "energy_j", "path_m", "no_room"):
+        for name in ("completed_s", "arrived", "lost", "energy_j", "path_length_m", "no_room"):
             columns[name] += getattr(batch, name)
     atomic_files.write_parquet(path, pa.table(columns, schema=SCHEMA))
 

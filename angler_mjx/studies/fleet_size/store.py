@@ -14,6 +14,8 @@ from angler_mjx.errors import RunError
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 
 FILE = "batches.jsonl"
+RENAMED = {"path_m": "path_length_m"}
+"""Keys of lines that older versions wrote, and their names now."""
 ADVICE = "put back a copy of it, or begin a new study"
 
 
@@ -33,8 +35,8 @@ class Batch:
     """Robots of each that ended otherwise, before the time was over."""
     energy_j: list[float]
     """Electrical energy of all thrusters of each."""
-    path_m: list[float]
-    """Way of all robots of each."""
+    path_length_m: list[float]
+    """Flown length, sum of all robots of each."""
     no_room: list[bool]
     """Whether a world had no room for the team, or for the task; it counts as not done."""
     planned: list[int | None] = field(default_factory=list)
@@ -118,8 +120,9 @@ class StudyStore:
 
 def _parse_batch(table: dict[str, Any]) -> Batch:
     """A batch from a line; TypeError or ValueError for anything else."""
+    table = {RENAMED.get(key, key): value for key, value in table.items()}
     batch = Batch(**table)
-    lists = (batch.arrived, batch.lost, batch.energy_j, batch.path_m, batch.no_room)
+    lists = (batch.arrived, batch.lost, batch.energy_j, batch.path_length_m, batch.no_room)
     if any(len(values) != batch.worlds for values in lists) or len(batch.planned) not in (
         0,
         batch.worlds,

@@ -12,6 +12,7 @@ extensions = [
     "sphinx_design",
     "sphinx_copybutton",
     "tools.site.docstrings",
+    "tools.site.tables",
 ]
 exclude_patterns = ["examples/**", "extra/**", "files/**"]
 templates_path = ["_templates"]
@@ -44,6 +45,7 @@ html_css_files = ["site.css"]
 html_js_files = [
     ("../../versions.js", {"defer": "defer"}),
     ("versions_menu.js", {"defer": "defer"}),
+    ("figures.js", {"defer": "defer"}),
 ]
 html_copy_source = False
 html_show_sourcelink = False
@@ -54,6 +56,7 @@ html_sidebars = {
     "examples": [],
     "all_pages": [],
 }
+html_context = {"default_mode": "auto"}  # light or dark, as the reader's system
 html_theme_options = {
     "logo": {
         "text": "angler_mjx",

@@ -1,4 +1,4 @@
-"""What can be told to a robot, from a pose down to the thrusters; each is for one robot."""
+"""Commands of one robot, from a pose down to the thrusters."""
 
 from dataclasses import dataclass
 
@@ -26,7 +26,7 @@ class GripReading:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """Where a robot believes it is and how it moves."""
+    """Estimate of the pose and velocity of a robot."""
 
     p: jax.Array
     """[3] m in W."""
@@ -35,7 +35,7 @@ class Estimate:
     nu: jax.Array
     """[6] velocity over ground, m/s and rad/s, in F."""
     flow: jax.Array | None = None
-    """[3] velocity of the water there, m/s, in W; None where nobody asked for it."""
+    """[3] velocity of the water there, m/s, in W; None where no stage of the controller uses it."""
     joints: JointMotion | None = None
     """[J] motion of the joints, which their encoders measure; None of a vehicle without joints."""
     grip: GripReading | None = None

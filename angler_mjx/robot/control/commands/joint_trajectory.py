@@ -58,8 +58,8 @@ class JointTrajectory:
     commanded: jax.Array
     """bool [n_joint] whether a joint was named; the others hold where they were at the start."""
     found: jax.Array | None = None
-    """bool [] False where the planner found no way, as in a `Trajectory`: the robot is told to hold
-    its start. None where no planner was asked."""
+    """bool [] False where the planner found no path, as in a `Trajectory`: the robot holds its
+    start. None without a planner."""
 
 
 def hold_position(

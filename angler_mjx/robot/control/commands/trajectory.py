@@ -21,7 +21,7 @@ class Trajectory:
     position_m: jax.Array
     """[n_point, 3] in W."""
     found: jax.Array
-    """bool [] False where the planner found no way: the robot is told to hold its start."""
+    """bool [] False where the planner found no path: the robot holds its start."""
 
 
 def hold_position(start_m: jax.Array, n_point: int) -> Trajectory:

@@ -268,3 +268,38 @@ def test_each_preset_has_its_own_horizon_unless_the_file_gives_one(tmp_path):
     assert horizons(given) == {"reef": 90.0, "corridor": 90.0}
     scene = '\n[[scene]]\nname = "a"\nset.time.horizon_s = 60.0'
     assert horizons(read(tmp_path, both + scene)) == {"reef": 60.0, "corridor": 60.0}
+
+
+STRAIGHT = """
+from angler_mjx import way_points
+
+
+class Straight:
+    def plan(self, problem):
+        team = problem.team
+        return [way_points([0, 60], [a, b]) for a, b in zip(team.start_m, team.goal_m)]
+"""
+
+
+def test_planners_are_chosen_by_name_label_file_or_policy(tmp_path, monkeypatch):
+    file = tmp_path / "benchmarks" / "x.toml"
+    file.parent.mkdir()
+    labelled = '[[planner]]\nname = "grid"\nlabel = "far"\nsettings = { points = 8 }\n'
+    file.write_text(FILE.format(more="") + '[[planner]]\nname = "priority"\n')
+    (tmp_path / "straight.py").write_text(STRAIGHT)
+    monkeypatch.chdir(tmp_path)
+
+    def labels(*names):
+        benchmark = problem_settings.read_benchmark(file, planners=names)
+        return [planner.label for planner in benchmark.planners]
+
+    assert labels("priority") == ["priority"]
+    assert labels("straight.py:Straight", "grid") == ["Straight", "grid"]
+    assert labels("mppi", "priority") == ["mppi", "priority"]
+    benchmark = problem_settings.read_benchmark(file, planners=["straight.py:Straight"])
+    assert benchmark.planners[0].file == tmp_path / "straight.py"
+    file.write_text(FILE.format(more="") + labelled.replace("settings = { points = 8 }\n", ""))
+    assert labels("far") == ["far"]
+    assert labels("grid") == ["grid", "far"]
+    with pytest.raises(ConfigError, match=r"x.toml: unknown planner .nonsense."):
+        labels("nonsense")

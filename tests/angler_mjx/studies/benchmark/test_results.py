@@ -186,6 +186,21 @@ def test_a_full_disk_and_a_damaged_database_have_a_message_each(folder, tmp_path
         BenchmarkStore(damaged, only_read=True)
 
 
+def test_a_database_of_an_older_version_gets_the_names_of_columns_of_now(folder, tmp_path):
+    older = tmp_path / "results.sqlite"
+    shutil.copyfile(folder / "results.sqlite", older)
+    with sqlite3.connect(older) as base:
+        before = base.execute("SELECT path_length_m FROM runs ORDER BY id").fetchall()
+        base.execute("ALTER TABLE runs RENAME COLUMN path_length_m TO flown_length_m")
+    BenchmarkStore(older).close()
+    with sqlite3.connect(older) as base:
+        names = [row[1] for row in base.execute("PRAGMA table_info(runs)")]
+        after = base.execute("SELECT path_length_m FROM runs ORDER BY id").fetchall()
+    assert "flown_length_m" not in names
+    assert after == before
+    assert any(value for (value,) in after)
+
+
 def test_a_finished_or_foreign_folder_is_not_gone_on_with(source, folder, tmp_path):
     benchmark, how = (
         running.read_benchmark(source),

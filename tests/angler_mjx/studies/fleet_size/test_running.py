@@ -384,7 +384,7 @@ def test_a_damaged_file_of_batches_is_refused(tmp_path):
         arrived=[0, 1],
         lost=[1, 0],
         energy_j=[1.0, 2.0],
-        path_m=[1.0, 2.0],
+        path_length_m=[1.0, 2.0],
         no_room=[False, False],
     )
     store.add(batch)
@@ -392,6 +392,9 @@ def test_a_damaged_file_of_batches_is_refused(tmp_path):
     assert StudyStore(path).batches == [batch]
     assert batch.hits(3.0) == 1
     assert batch.hits(2.9) == 0
+    older = tmp_path / "older.jsonl"
+    older.write_text(path.read_text().replace('"path_length_m"', '"path_m"'))
+    assert StudyStore(older).batches == [batch]
     path.write_text(path.read_text().replace('"lost":[1,0]', '"lost":[1]'))
     with pytest.raises(ConfigError, match="cannot be read"):
         StudyStore(path)

@@ -25,7 +25,7 @@ SCHEMA = pa.schema(
     + [("planned", BOOL), ("robots_planned", pa.int32())]
     + [(n, FLOAT) for n in ("plan_length_m", "plan_makespan_s", "plan_flowtime_s", "plan_turn_rad")]
     + [("flown", BOOL), ("robots_reached", pa.int32()), ("reached", BOOL), ("success", BOOL)]
-    + [(n, FLOAT) for n in ("makespan_s", "flowtime_s", "late_s", "flown_length_m", "energy_j")]
+    + [(n, FLOAT) for n in ("makespan_s", "flowtime_s", "late_s", "path_length_m", "energy_j")]
     + [(n, FLOAT) for n in ("min_clearance_m", "min_separation_m")]
     + [("failure", TEXT)]
     + [(n, FLOAT) for n in ("failure_time_s", "failure_x_m", "failure_y_m", "failure_z_m")]
@@ -96,7 +96,7 @@ def write(
                             "flown": True, "reached": won, "success": won,
                             "robots_reached": team if won else team - 1,
                             "energy_j": 900 * team * span / 40 * (1 + 0.1 * rng.random()),
-                            "flown_length_m": 23.0 * team,
+                            "path_length_m": 23.0 * team,
                             "min_clearance_m": float(rng.gamma(2, 0.2)) * won,
                             "min_separation_m": float(rng.random()) if team > 1 else None,
                         }  # fmt: skip
