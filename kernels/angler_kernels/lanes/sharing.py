@@ -132,6 +132,7 @@ def _append_operations(
         operands, name = read(eqn.invars), eqn.primitive.name
         called = eqn.params["jaxpr"] if name in _CALLS else None
         results: Sequence[_Atom]
+        # A function that holds arrays of its program stays a call.
         if called is not None and not called.consts:
             results = _append_operations(sequence, called.jaxpr, operands)
         else:
@@ -213,12 +214,7 @@ class _Graph:
             for j in self._after[i]:
                 loops[i] |= loops[j]
             times = loops[i].bit_count()
-            if (
-                i in candidates
-                and times > 1
-                and i not in self._in_memory
-                and self.sizes[i] > 1
-            ):
+            if i in candidates and times > 1 and i not in self._in_memory and self.sizes[i] > 1:
                 expensive, cheap = leading[i] & self._expensive, leading[i] & self._cheap
                 cost = EXPENSIVE_COST * expensive.bit_count() + cheap.bit_count()
                 if (times - 1) * cost > MEMORY_COST + times:
