@@ -8,7 +8,6 @@ gradient is 0. Lengths in metres; all shapes of a call in one frame unless it sa
 """
 
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple, Self
 
 import jax
@@ -185,7 +184,6 @@ def capsules_capsules(
     return jnp.min(gap - r1[:, None] - r2[None, :])
 
 
-@partial(jax.jit, static_argnames="kinds", inline=True)
 def capsules_obstacle(
     a: jax.Array,
     b: jax.Array,
