@@ -130,6 +130,9 @@ def move_together(
     if grips is not None:
         grips = replace(grips, wrench=jnp.zeros_like(grips.wrench))
     none = no_impacts(vehicles.p.shape[0], vehicles.p.dtype, holds=grips is not None)
+    # `vmap` batches a loop twice where its start is not of each world and its end is; XLA drops a
+    # choice between equals.
+    none, grips = jax.tree.map(lambda x: jnp.where(t < 0.0, x, x), (none, grips))
     moved: Moved = jax.lax.fori_loop(0, steps, step_once, (vehicles, obstacles, grips, none))
     vehicles, obstacles, grips, impacts = moved
     if grips is not None:

@@ -20,7 +20,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.sampling import fold_keys, uniform_rows
 from angler_mjx.world.config import WorldRecipe
 from angler_mjx.world.obstacles import STATIC, Obstacles
-from angler_mjx.world.obstacles.explicit import explicit_rows
+from angler_mjx.world.obstacles.explicit import find_gaps_m
 
 # Corner c is (bit 0 -> x, bit 1 -> y, bit 2 -> z). The first four are pairwise face diagonals and
 # go to the other four, so up to four robots share no corner at all.
@@ -118,10 +118,16 @@ def check_positions(
                 )
             if not explicit:
                 continue
-            rows = explicit_rows(explicit, 1000.0)  # The water's density changes no shape.
-            counts = (np.asarray(rows.motion) == STATIC) | (key == "start_m")
+            # In numpy: every file is checked, and JAX would compile each operation for that.
+            gaps = np.concatenate(
+                [
+                    find_gaps_m(item, np.subtract(position_m, item.position_m)[None])
+                    for item in explicit
+                ]
+            )
+            counts = np.array([item.motion.type == "static" for item in explicit])
+            counts |= key == "start_m"
             counts &= np.arange(len(counts)) != held
-            gaps = np.asarray(_obstacle_gaps(rows, jnp.array(position_m, float)))
             faults += [
                 f"{key}[{i}] = {position_m}: {gaps[j]:.2f} m from obstacles.explicit[{j}]; "
                 f"the robot's radius is {radius_m[i]:.2f} m"

@@ -385,52 +385,6 @@ def mark_leader(spec: SimSpec, world: FleetWorld) -> FleetWorld:
     return replace(world, control=replace(world.control, is_leader=is_leader))
 
 
-def segment(
-    spec: SimSpec,
-    engine: Multibody[BodyInertia],
-    world: FleetWorld,
-    state: WorldState,
-    n_sample: int,
-    steps_per_sample: int,
-    command: Command | None = None,
-    policy: Policy | None = None,
-    number: jax.Array | None = None,
-    fleet: Fleet | None = None,
-) -> tuple[WorldState, Sample]:
-    """``n_sample * steps_per_sample`` control steps of one world, all with one command.
-
-    Returns:
-        The state at the end, and samples with a leading axis [n_sample].
-    """
-    # One control step stands in the program, not one for recorded and one for other steps: it is
-    # most of what there is to compile.
-    rock = prepare_rock(spec, world)
-    fly = partial(
-        control_step, spec, engine, world, command=command, policy=policy, fleet=fleet, rock=rock
-    )
-    shapes = jax.eval_shape(fly, state)[1]
-    empty_sample: Sample = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
-
-    def step_once(
-        carry: tuple[WorldState, jax.Array | None, Sample], i: jax.Array
-    ) -> tuple[tuple[WorldState, jax.Array | None, Sample], None]:
-        state, number, kept = carry
-        state, sample = fly(state, number=number)
-        kept = jax.tree.map(lambda new, old: jnp.where(i == 0, new, old), sample, kept)
-        return (state, None if number is None else number + 1, kept), None
-
-    def record_sample(
-        now: tuple[WorldState, jax.Array | None], _: None
-    ) -> tuple[tuple[WorldState, jax.Array | None], Sample]:
-        (after, count, kept), _ = jax.lax.scan(
-            step_once, (*now, empty_sample), jnp.arange(steps_per_sample)
-        )
-        return (after, count), kept
-
-    (after, _), samples = jax.lax.scan(record_sample, (state, number), length=n_sample)
-    return after, samples
-
-
 class MjxEngine(UnpackedStates):
     """MuJoCo MJX on worlds [tile]."""
 
@@ -497,25 +451,43 @@ class MjxEngine(UnpackedStates):
         del begins, cells
         engine, equipped = _select_multibody(spec, fleet), add_parameters(fleet, worlds)
         number = _shared_step_number(spec, state, policy)
+        rock = jax.vmap(partial(prepare_rock, spec))(equipped)
 
-        def run_world(
-            world: FleetWorld, state: WorldState, command: Command | None
-        ) -> tuple[WorldState, Sample]:
-            return segment(
-                spec,
-                engine,
-                world,
-                state,
-                n_sample,
-                steps_per_sample,
-                command=command,
-                policy=policy,
-                number=number,
-                fleet=fleet,
+        # One control step stands in the program, not one for recorded and one for other steps: it
+        # is most of what there is to compile. It is traced once, for the types of its results and
+        # for the loop; a loop within `vmap` would be traced, and then batched twice.
+        @partial(jax.jit, inline=True)
+        def fly(state: WorldState, number: jax.Array | None) -> tuple[WorldState, Sample]:
+            step_world = partial(control_step, spec, policy=policy, number=number, fleet=fleet)
+
+            def step_one(
+                world: FleetWorld, state: WorldState, command: Command | None, rock: Rock | None
+            ) -> tuple[WorldState, Sample]:
+                return step_world(engine, world, state, command, rock=rock)
+
+            return jax.vmap(step_one)(equipped, state, command, rock)
+
+        shapes = jax.eval_shape(fly, state, number)[1]
+        empty_sample: Sample = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+
+        def step_once(
+            carry: tuple[WorldState, jax.Array | None, Sample], i: jax.Array
+        ) -> tuple[tuple[WorldState, jax.Array | None, Sample], None]:
+            state, number, kept = carry
+            state, sample = fly(state, number)
+            kept = jax.tree.map(lambda new, old: jnp.where(i == 0, new, old), sample, kept)
+            return (state, None if number is None else number + 1, kept), None
+
+        def record_sample(
+            now: tuple[WorldState, jax.Array | None], _: None
+        ) -> tuple[tuple[WorldState, jax.Array | None], Sample]:
+            (after, count, kept), _ = jax.lax.scan(
+                step_once, (*now, empty_sample), jnp.arange(steps_per_sample)
             )
+            return (after, count), kept
 
-        after: WorldState
-        after, samples = jax.vmap(run_world)(equipped, state, command)
+        (after, _), samples = jax.lax.scan(record_sample, (state, number), length=n_sample)
+        samples = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), samples)
         return after, sample_clearances.add_all_clearances(spec, equipped, samples)
 
 

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.quaternion import rotate, rotate_inverse
+from angler_kernels.traced_once import trace_once
 
 SPHERE, BOX, CAPSULE = 0, 1, 2
 
@@ -30,6 +31,7 @@ def point_box(p: jax.Array, lo: jax.Array, hi: jax.Array) -> jax.Array:
     )
 
 
+@trace_once
 def segment_point(a: jax.Array, b: jax.Array, p: jax.Array) -> jax.Array:
     """Return the distance [] of the segment a [3], b [3] to the point p [3]; a = b is allowed."""
     d, gap = b - a, a - p
@@ -37,6 +39,7 @@ def segment_point(a: jax.Array, b: jax.Array, p: jax.Array) -> jax.Array:
     return _safe_sqrt(_squared_length([gap[i] + s * d[i] for i in range(3)]))
 
 
+@trace_once
 def segment_segment(a1: jax.Array, b1: jax.Array, a2: jax.Array, b2: jax.Array) -> jax.Array:
     """Return distance [] of two segments, a1 [3] to b1 [3] and a2 [3] to b2 [3], in any position.
 
@@ -74,6 +77,7 @@ def segment_segment(a1: jax.Array, b1: jax.Array, a2: jax.Array, b2: jax.Array) 
     return _safe_sqrt(square(s, t))
 
 
+@trace_once
 def segment_box(a: jax.Array, b: jax.Array, lo: jax.Array, hi: jax.Array) -> jax.Array:
     """Return the distance [] of the segment a [3], b [3] to the axis-aligned box lo [3], hi [3]."""
     line = LineSegment.from_ends(a, b)
@@ -149,6 +153,7 @@ class LineSegment(NamedTuple):
         )
 
 
+@trace_once
 def segment_oriented_box(
     a: jax.Array, b: jax.Array, p: jax.Array, q: jax.Array, half: jax.Array
 ) -> jax.Array:
@@ -160,6 +165,7 @@ def segment_oriented_box(
     return segment_box(rotate_inverse(q, a - p), rotate_inverse(q, b - p), -half, half)
 
 
+@trace_once
 def capsules_capsules(
     a1: jax.Array, b1: jax.Array, r1: jax.Array, a2: jax.Array, b2: jax.Array, r2: jax.Array
 ) -> jax.Array:
