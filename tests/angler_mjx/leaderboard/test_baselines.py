@@ -1,6 +1,8 @@
 """Baselines made part by part, interrupted and continued; films of their flights."""
 
 import json
+from importlib import resources
+from pathlib import Path
 
 import pytest
 
@@ -38,6 +40,23 @@ def test_sets_that_a_planner_does_not_take_are_named_with_the_reason(tmp_path):
     (line,) = said
     assert line.startswith("nobody does not enter 1 of 1 sets: open-still-known-01: ")
     assert "'nobody'" in line
+
+
+def test_stored_results_are_of_the_frozen_problems_and_as_the_page_says(manifest, sets):
+    folder = resources.files("angler_mjx.leaderboard.data") / "baselines"
+    stored = {path.name: json.loads(path.read_text()) for path in folder.iterdir()}
+    page = Path("docs/reference/angler_1.md").read_text()
+    assert "priority.json" in stored
+    for name, table in stored.items():
+        assert table["problems_sha256"] == manifest.sha256()
+        problems = [
+            f"{entry}/{i}" for entry in table["entered"] for i in range(sets[entry].problems)
+        ]
+        assert sorted(row["problem"] for row in table["scores"]) == sorted(problems)
+        solved = [row for row in table["scores"] if row["solved"]]
+        assert all(row["arrived"] == row["robots"] for row in solved)
+        planner = name.removesuffix(".json")
+        assert f"`{planner}` ({len(solved)} of {len(problems)} problems solved)" in page
 
 
 def part(name, *sets, **more):
