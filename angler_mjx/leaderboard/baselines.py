@@ -37,6 +37,8 @@ HOST_PLANNERS = (
     "AORRTC",
 )
 """Planners of OMPL."""
+MAX_HOST_ROBOTS = 8
+"""Robots of the largest teams that they enter for: they search the space of all robots at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,12 +49,14 @@ class Baseline:
     """On the board, and of its folder."""
     in_flight: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """The card's table ``[in_flight]``; empty for plans."""
+    max_robots: int | None = None
+    """Robots of the largest team that it enters for; None: any."""
 
 
 BASELINES = (
     *(Baseline(name=name) for name in ("priority", "grid", "current")),
     Baseline(name="mppi", in_flight={"policy": {"name": "mppi"}}),
-    *(Baseline(name=name) for name in HOST_PLANNERS),
+    *(Baseline(name=name, max_robots=MAX_HOST_ROBOTS) for name in HOST_PLANNERS),
 )
 """All, in the order in which they are made."""
 
@@ -129,7 +133,9 @@ def make_baselines(
 def _find_refusal(
     baseline: Baseline, benchmark: FrozenBenchmark, entry: ProblemSet, manifest: ProblemManifest
 ) -> str:
-    """Return why a planner takes the problems of a set at no level; policies take all."""
+    """Return why a baseline does not enter a set; empty if it does. Policies take all."""
+    if baseline.max_robots is not None and entry.robots > baseline.max_robots:
+        return f"{entry.name}: it enters for teams of up to {baseline.max_robots} robots"
     if baseline.in_flight:
         return ""
     attempt = manifest.find(entry.name).attempt

@@ -8,7 +8,7 @@ import pytest
 
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError
-from angler_mjx.leaderboard import baselines, checking, entering, films, problem_sets
+from angler_mjx.leaderboard import baselines, checking, entering, films, problem_files, problem_sets
 from angler_mjx.planning import register
 from angler_mjx.progress import Progress
 
@@ -40,6 +40,24 @@ def test_sets_that_a_planner_does_not_take_are_named_with_the_reason(tmp_path):
     (line,) = said
     assert line.startswith("nobody does not enter 1 of 1 sets: open-still-known-01: ")
     assert "'nobody'" in line
+
+
+def test_planners_of_the_composite_space_enter_for_teams_of_up_to_eight(tmp_path):
+    said = []
+    progress = Progress()
+    progress.report = said.append
+    (chosen,) = baselines.select_baselines(["RRTstar"])
+    made = baselines.make_baselines(
+        [chosen], tmp_path, tmp_path / "store", progress, sets=("reef-still-known-16",)
+    )
+    assert list(made) == []
+    assert said == [
+        "RRTstar does not enter 1 of 1 sets: reef-still-known-16: it enters for teams of up to 8 "
+        "robots"
+    ]
+    benchmark, manifest = problem_sets.load_benchmark(), problem_files.public_manifest()
+    (largest,) = problem_sets.select_problem_sets(benchmark, ("reef-still-known-08",))
+    assert baselines._find_refusal(chosen, benchmark, largest, manifest) == ""
 
 
 def test_stored_results_are_of_the_frozen_problems_and_as_the_page_says(manifest, sets):
