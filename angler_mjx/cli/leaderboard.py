@@ -62,6 +62,7 @@ def plan(
     problems: Path | None = None,
     secret: Path | None = None,
     workers: int | None = None,
+    processes: int | None = None,
     device: Device | None = None,
 ) -> None:
     """Plan the problems with a planner of the package or a file, into a submission.
@@ -77,15 +78,18 @@ def plan(
         secret: File that hidden problems were made with.
         workers: Number of planning processes, for planners on the host; one for each processor if
             left out.
+        processes: Processes that compile and plan side by side on the device; on a GPU half of the
+            processors, at most 8, else 1, if left out.
         device: Device to sample the worlds and plan on; JAX's choice if left out.
     """
     choose_device(device)
     keep_all_programs()
+    count = _count_processes(processes)
     from angler_mjx.cli.shared.inputs import require_positive
     from angler_mjx.cli.shared.progress import ProgressBar
     from angler_mjx.leaderboard.entering import plan_submission
 
-    count = require_positive("workers", workers)
+    planning = require_positive("workers", workers)
     manifest, hidden = _find_problems(problems, secret)
     with ProgressBar() as bar:
         plan_submission(
@@ -96,7 +100,8 @@ def plan(
             name=name or planner,
             sets=sets,
             secret=hidden,
-            workers=count,
+            workers=planning,
+            processes=count,
         )
     print(out)
 
@@ -109,6 +114,7 @@ def check(
     secret: Path | None = None,
     resume: bool = False,
     keep_flights: bool = False,
+    processes: int | None = None,
     device: Device | None = None,
 ) -> None:
     """Judge a submission: fly its plans in truth, and have the referee compute all scores.
@@ -122,10 +128,13 @@ def check(
         secret: File that hidden problems were made with.
         resume: Continue an interrupted check.
         keep_flights: Keep the trajectories, for angler replay.
+        processes: Processes that compile and fly side by side on the device; on a GPU half of the
+            processors, at most 8, else 1, if left out.
         device: Device to fly on; JAX's choice if left out.
     """
     choose_device(device)
     keep_all_programs()
+    count = _count_processes(processes)
     from angler_mjx.cli.shared.progress import ProgressBar
     from angler_mjx.leaderboard import checking, scores
 
@@ -142,6 +151,7 @@ def check(
                 sets=sets,
                 resume=resume,
                 keep_flights=keep_flights,
+                processes=count,
             )
         except KeyboardInterrupt:
             is_judged = False
@@ -175,6 +185,7 @@ def make_baselines(
     sets: Sets = (),
     store: Path | None = None,
     workers: int | None = None,
+    processes: int | None = None,
     keep_flights: bool = False,
     device: Device | None = None,
 ) -> None:
@@ -190,16 +201,19 @@ def make_baselines(
         store: Folder of the results, one file each; that which the board reads if left out.
         workers: Number of planning processes, for planners on the host; one for each processor if
             left out.
+        processes: Processes that compile and plan or fly side by side on the device; on a GPU half
+            of the processors, at most 8, else 1, if left out.
         keep_flights: Keep the trajectories, for angler leaderboard films.
         device: Device to plan and fly on; JAX's choice if left out.
     """
     choose_device(device)
     keep_all_programs()
+    count = _count_processes(processes)
     from angler_mjx.cli.shared.inputs import require_positive
     from angler_mjx.cli.shared.progress import ProgressBar
     from angler_mjx.leaderboard import baselines, board, problem_sets
 
-    count = require_positive("workers", workers)
+    planning = require_positive("workers", workers)
     chosen = baselines.select_baselines(only)
     with ProgressBar() as bar:
         try:
@@ -209,7 +223,8 @@ def make_baselines(
                 store or problem_sets.data_folder() / board.BASELINES,
                 bar,
                 sets=sets,
-                workers=count,
+                workers=planning,
+                processes=count,
                 keep_flights=keep_flights,
             ):
                 bar.report(str(path))
@@ -238,6 +253,15 @@ def film(
         for result in results:
             for path in films.film_result(result, out, bar):
                 bar.report(str(path))
+
+
+def _count_processes(wanted: int | None) -> int:
+    """Return the number of processes that share the device; before JAX starts it."""
+    from angler_mjx.cli.shared.inputs import require_positive
+    from angler_mjx.runs import device_processes
+
+    device_processes.share_memory()
+    return require_positive("processes", wanted) or device_processes.default_count()
 
 
 def _find_problems(problems: Path | None, secret: Path | None) -> "tuple[ProblemManifest, bytes]":

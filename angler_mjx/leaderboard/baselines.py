@@ -83,6 +83,7 @@ def make_baselines(
     *,
     sets: tuple[str, ...] = (),
     workers: int | None = None,
+    processes: int = 1,
     keep_flights: bool = False,
 ) -> Iterator[Path]:
     """Plan, check and store baselines; parts that are judged are kept.
@@ -94,6 +95,7 @@ def make_baselines(
         progress: receives the progress.
         sets: sets or parts of their names; all that each can plan if left out.
         workers: planning processes, for planners of the host.
+        processes: processes that compile, plan and fly side by side on the device.
         keep_flights: keep the trajectories, for films.
 
     Yields:
@@ -126,7 +128,16 @@ def make_baselines(
             progress.report(f"{baseline.name}, part {number + 1} of {len(parts)}: {team}")
             folder = out / baseline.name / f"{robots:02d}"
             if not checking.is_complete(folder / "check"):
-                _make_part(baseline, part, folder, progress, manifest, workers, keep_flights)
+                _make_part(
+                    baseline,
+                    part,
+                    folder,
+                    progress,
+                    manifest,
+                    workers=workers,
+                    processes=processes,
+                    keep_flights=keep_flights,
+                )
             yield _store_result(baseline, out, store)
 
 
@@ -153,7 +164,9 @@ def _make_part(
     folder: Path,
     progress: Progress,
     manifest: ProblemManifest,
+    *,
     workers: int | None,
+    processes: int,
     keep_flights: bool,
 ) -> None:
     names = tuple(entry.name for entry in part)
@@ -170,6 +183,7 @@ def _make_part(
             name=baseline.name,
             sets=names,
             workers=workers,
+            processes=processes,
         )
     is_begun = output_lock.partial_path(check).exists()
     if not checking.check_submission(
@@ -179,6 +193,7 @@ def _make_part(
         manifest=manifest,
         resume=is_begun,
         keep_flights=keep_flights,
+        processes=processes,
     ):
         raise KeyboardInterrupt
 

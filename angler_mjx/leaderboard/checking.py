@@ -112,6 +112,7 @@ def check_submission(
     sets: tuple[str, ...] = (),
     resume: bool = False,
     keep_flights: bool = False,
+    processes: int = 1,
 ) -> bool:
     """Judge a submission into a results folder; whether all of it was judged.
 
@@ -124,6 +125,7 @@ def check_submission(
         sets: sets or parts of their names that are judged; all entered ones if left out.
         resume: go on with an interrupted check.
         keep_flights: keep the trajectories, for replays.
+        processes: processes that compile and fly side by side.
 
     Raises:
         ConfigError: the card cannot be understood, or the folder is taken.
@@ -156,11 +158,7 @@ def check_submission(
         checked = _collect_plans(
             benchmark, card, source, building, entries, manifest, secret, progress, time_factor
         )
-        # Sets that differ in information fly the same programs, which the later ones then load.
-        flown = sorted((one for one in checked if one.flies), key=lambda one: one.entry.information)
-        plans = {one.run: _answer_file(building, one.entry) for one in flown if one.rows}
-        parts = [(one.run, one.scenario) for one in flown]
-        if not multi_run.fly_runs(parts, building, progress, OneProcess(), {}, plans):
+        if not _fly_sets([one for one in checked if one.flies], building, progress, processes):
             return False
         scores = _judge_sets(checked, building, progress)
         opened.publish(
@@ -180,6 +178,34 @@ def check_submission(
 def is_complete(out: Path) -> bool:
     """Return whether a folder holds the result of a check."""
     return (out / RESULT).is_file()
+
+
+def _fly_sets(
+    checked: Sequence[CheckedSet], building: Path, progress: Progress, processes: int
+) -> bool:
+    """Fly what is left of the sets; whether all are flown then."""
+    # Sets that differ in information fly the same programs, which the later ones then load.
+    flown = sorted(checked, key=lambda one: one.entry.information)
+    plans = {one.run: _answer_file(building, one.entry) for one in flown if one.rows}
+    if processes < 2:
+        parts = [(one.run, one.scenario) for one in flown]
+        return multi_run.fly_runs(parts, building, progress, OneProcess(), {}, plans)
+    groups: dict[object, list[CheckedSet]] = {}
+    for one in sorted(flown, key=lambda one: -one.entry.robots):
+        kind = (one.entry.robots, one.entry.condition, one.scenario.time.horizon_s)
+        groups.setdefault(kind, []).append(one)
+    return multi_run.fly_groups(
+        [
+            multi_run.RunGroup(
+                building=building,
+                parts=tuple((one.run, one.scenario) for one in group),
+                plans={one.run: plans[one.run] for one in group if one.run in plans},
+            )
+            for group in groups.values()
+        ],
+        progress,
+        processes,
+    )
 
 
 def _answer_file(building: Path, entry: ProblemSet) -> Path:

@@ -1,11 +1,14 @@
 """Submissions of the package's planners: plans of all problems and a card, by one command."""
 
+import fcntl
 import json
 import os
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +27,7 @@ from angler_mjx.planning.problem import Problem
 from angler_mjx.progress import Progress
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.plans import Plan
+from angler_mjx.runs.device_processes import map_on_devices
 from angler_mjx.runs.provenance import processor_name
 from angler_mjx.runs.simulator.compilation import CompiledFunction
 from angler_mjx.runs.simulator.host_planning import PlanNotes, planning_status
@@ -50,6 +54,7 @@ def plan_submission(
     sets: tuple[str, ...] = (),
     secret: bytes = problem_sets.PUBLIC,
     workers: int | None = None,
+    processes: int = 1,
 ) -> None:
     """Plan the problems with a planner; sets that are planned already are kept.
 
@@ -62,6 +67,8 @@ def plan_submission(
         sets: sets or parts of names that are entered; all if left out.
         secret: that the problems' seeds were made with; empty for the public ones.
         workers: planning processes, for planners of the host.
+        processes: processes that compile planners of a device side by side; they are timed one by
+            one all the same.
 
     Raises:
         ConfigError: the planner cannot be used, or the folder holds another submission.
@@ -88,24 +95,27 @@ def plan_submission(
             progress.advance(entry.problems)
         else:
             waiting.append(entry)
-    count = max(1, (os.cpu_count() or 1) // 2)
-    for first in range(0, len(waiting), count):
-        batch = waiting[first : first + count]
-        progress.describe(batch[-1].name)
-        parts = [
-            SetToPlan(
-                path=out / submission.PLANS / f"{entry.name}.zarr",
-                scenario=build_planned_scenario(
-                    problem_files.build_set_scenario(
-                        benchmark, entry, manifest.find(entry.name).attempt, secret
-                    ),
-                    {**planner, "deadline_s": factor * entry.limit_s},
-                    "planner",
+    parts = [
+        SetToPlan(
+            path=out / submission.PLANS / f"{entry.name}.zarr",
+            scenario=build_planned_scenario(
+                problem_files.build_set_scenario(
+                    benchmark, entry, manifest.find(entry.name).attempt, secret
                 ),
-            )
-            for entry in batch
-        ]
-        for part in _plan_sets(parts, workers):
+                {**planner, "deadline_s": factor * entry.limit_s},
+                "planner",
+            ),
+        )
+        for entry in waiting
+    ]
+    if processes > 1 and register.find(str(planner["name"])).on_device:
+        _plan_side_by_side(parts, processes, progress)
+        return
+    count = max(1, (os.cpu_count() or 1) // 2)
+    for first in range(0, len(parts), count):
+        batch = parts[first : first + count]
+        progress.describe(batch[-1].scenario.name)
+        for part in _plan_sets(batch, workers):
             progress.advance(part.scenario.worlds)
 
 
@@ -173,6 +183,24 @@ def _plan_sets(parts: Sequence[SetToPlan], workers: int | None) -> Iterator[SetT
         yield part
 
 
+def _plan_side_by_side(parts: Sequence[SetToPlan], processes: int, progress: Progress) -> None:
+    """Plan sets with a planner of a device, in processes."""
+    with tempfile.NamedTemporaryFile() as lock:
+        plan = partial(_plan_timed_alone, lock=Path(lock.name))
+        planned = map_on_devices(plan, parts, min(processes, len(parts)), __name__)
+        for part, _ in zip(parts, planned, strict=True):
+            progress.describe(part.scenario.name)
+            progress.advance(part.scenario.worlds)
+
+
+def _plan_timed_alone(part: SetToPlan, lock: Path) -> None:
+    """Plan a set; processes with the same lock call their planners one after another."""
+    program = _compile_planner(part)
+    with lock.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)  # released as the file is closed
+        program.write_plans(part)
+
+
 def _plan_on_host(part: SetToPlan, workers: int | None) -> None:
     """Plan the worlds of a set; one that was interrupted is continued."""
     simulator = Simulator(part.scenario, devices=1, workers=workers)
@@ -194,6 +222,7 @@ class PlannerProgram:
 
     def write_plans(self, part: SetToPlan) -> None:
         """Plan all problems of the set at once, timed; each took its part of the time."""
+        jax.block_until_ready(self.plan_batch(self.problems))  # the first call loads the program
         begin = time.perf_counter()
         planned = jax.block_until_ready(self.plan_batch(self.problems))
         count = part.scenario.worlds
@@ -218,7 +247,7 @@ class PlannerProgram:
 
 
 def _compile_planner(part: SetToPlan) -> PlannerProgram:
-    """Sample the problems of a set, compile its planner, and call it once."""
+    """Sample the problems of a set, and compile its planner."""
     scenario = part.scenario
     simulator = Simulator(scenario, devices=1)
     worlds, problems = simulator.sample_problems(0)
@@ -226,5 +255,4 @@ def _compile_planner(part: SetToPlan) -> PlannerProgram:
     spec = scenario.planner.planner_spec()
     planner = build_device_planner(spec, problem_settings(scenario, information))
     program = CompiledFunction(planner.plan_batch).lower(problems).compile()
-    jax.block_until_ready(program(problems))
     return PlannerProgram(simulator=simulator, worlds=worlds, problems=problems, plan_batch=program)

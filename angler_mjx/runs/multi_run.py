@@ -1,10 +1,12 @@
-"""Several runs in one folder, one after another, for datasets and sweeps.
+"""Several runs in one folder, for datasets, sweeps and checks.
 
-An interrupted run of it is resumed as any run is, so nothing but tiles in flight is lost. While one
-run flies, the programs of the next ones are compiled.
+They are flown one after another, or in groups by processes side by side. An interrupted run is
+resumed as any run is, so nothing but tiles in flight is lost. While one run flies, the programs of
+the next ones are compiled.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -13,7 +15,8 @@ from typing import TypedDict
 from angler_mjx.files import FileModel
 from angler_mjx.progress import Progress
 from angler_mjx.runs import rollout
-from angler_mjx.runs.processes import Processes, RunProcesses
+from angler_mjx.runs.device_processes import map_on_devices
+from angler_mjx.runs.processes import OneProcess, Processes, RunProcesses
 from angler_mjx.runs.resumable_folder import ResumableFolder
 from angler_mjx.runs.simulator.programs import release_memory
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -110,6 +113,39 @@ def fly_runs(
             simulators.drop(path)
             release_memory()
     return True
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunGroup:
+    """Runs of one folder that one process flies, one after another."""
+
+    building: Path
+    parts: tuple[tuple[str, Scenario], ...]
+    plans: Mapping[str, Path]
+    """As of `fly_runs`."""
+
+    def fly(self) -> bool:
+        """Fly what is left of the runs; whether all are whole now."""
+        plans = dict(self.plans)
+        return fly_runs(self.parts, self.building, Progress(), OneProcess(), {}, plans)
+
+
+def fly_groups(groups: Sequence[RunGroup], progress: Progress, processes: int) -> bool:
+    """Fly groups of runs in processes side by side; whether all runs are whole then.
+
+    Args:
+        groups: those whose scenarios have the same programs of flights are best one group.
+        progress: of how far it is, in runs.
+        processes: number of processes.
+    """
+    progress.start(sum(len(group.parts) for group in groups), unit="runs")
+    progress.describe("compiling and simulating")
+    is_whole = True
+    flights = map_on_devices(RunGroup.fly, groups, min(processes, len(groups)), __name__)
+    for group, is_flown in zip(groups, flights, strict=True):
+        is_whole = is_whole and is_flown
+        progress.advance(len(group.parts))
+    return is_whole
 
 
 def _begin_compiling(

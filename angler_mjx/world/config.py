@@ -83,6 +83,13 @@ class WorldConfig(FileModel):
         return tuple(dict.fromkeys(files))
 
     @property
+    def file_digests(self) -> tuple[str, ...]:
+        """Return the digests of what its files hold now; programs hold it too."""
+        grids = [component for component in self.currents if isinstance(component, GridConfig)]
+        digests = [component.field.digest for component in grids]
+        return (*digests, self.bathymetry.floor.digest) if self.bathymetry else tuple(digests)
+
+    @property
     def held_bytes(self) -> int:
         """Return the bytes of its current fields, which programs hold once for all worlds."""
         grids = [component for component in self.currents if isinstance(component, GridConfig)]

@@ -2,9 +2,9 @@
 
 Tracing and compiling a scenario takes seconds to a minute, and a grid of cells, a notebook or a
 test needs the same programs many times. `shared_programs` returns earlier programs where everything
-that was traced into them is equal; numbers that they take as arguments may differ. Programs that
-hold a planner or policy of a caller, or fields of files, are made anew for each simulator: their
-code and their files may have changed.
+that was traced into them is equal, files by their content; numbers that they take as arguments may
+differ. Programs that hold a planner or policy of a caller are made anew for each simulator: their
+code may have changed.
 """
 
 import gc
@@ -74,6 +74,9 @@ SEGMENT_SAMPLES, SEGMENT_STEPS = 25, 100
 """Maximum number of samples of a segment, or of control steps where that is more. A call took an
 H200 2 ms to begin: as long as 70 control steps of 1,024 worlds of 8 robots."""
 
+MAX_STORED_FIELD_BYTES = 16 << 20
+"""Bytes of current fields up to which programs are stored on disk: each holds the fields."""
+
 UNTRACED_KEYS = {"name", "description", "worlds", "seed", "tile"}
 """Keys of a scenario that no program depends on; the tile is a separate input."""
 UNTRACED_PLANNER_KEYS = {"name", "requested", "settings"}
@@ -111,30 +114,39 @@ class ProgramSetup:
 
     @property
     def _is_shareable(self) -> bool:
-        """Return whether no code or field of a caller is traced."""
-        return not (self.has_user_code or self.scenario.world.files)
+        """Return whether no code of a caller is traced."""
+        return not self.has_user_code
 
     def key(self) -> Hashable | None:
         """Return a value equal for equal programs; None where they cannot be shared."""
-        return self._key(self._traced_planner(), repr(self.planner))
+        return self._key(self._traced_table(), self._traced_planner(), repr(self.planner))
 
     def flight_key(self) -> Hashable | None:
         """Return a value equal for equal programs of flights; None where they cannot be shared.
 
-        Planners that plan at the start only are no part of them.
+        Planners that plan at the start only are no part of them, nor is the rule that makes rock:
+        flights take its cells.
         """
-        if self.scenario.flown:
-            return self._key(self._traced_planner())
-        return self._key({})
+        table = self._traced_table()
+        del table["world"]["rule"]
+        planner = self._traced_planner() if self.scenario.flown else {}
+        return self._key(table, planner)
 
-    def _key(self, *planner: Hashable | JsonTable) -> Hashable | None:
-        """Return a value of what is traced, with ``planner`` in place of the scenario's table."""
+    def open_store(self, key: Hashable | None) -> ProgramStore | None:
+        """Return the folder of executables; None for programs that hold too large fields."""
+        if self.scenario.world.held_bytes > MAX_STORED_FIELD_BYTES:
+            return None
+        return open_store(key, self.mesh)
+
+    def _key(self, *traced: Hashable | JsonTable) -> Hashable | None:
+        """Return a value of tables that are traced, and of all else that programs depend on."""
         if not self._is_shareable:
             return None
         arguments = (self.numbers(), self.policy)
         shapes = [(leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(arguments)]
         return (
-            json.dumps([self._traced_table(), *planner], sort_keys=True),
+            json.dumps(traced, sort_keys=True),
+            self.scenario.world.file_digests,
             self.tile,
             self.mesh,
             self.kernels,
@@ -183,7 +195,7 @@ class FlightPrograms:
         """Compile the vehicles and build the functions; programs are compiled later.
 
         Raises:
-            ConfigError: as of `Programs`.
+            ConfigError: a vehicle file has faults.
         """
         self._setup, scenario = setup, setup.scenario
         self.spec: SimSpec = scenario.sim_spec()
@@ -196,17 +208,10 @@ class FlightPrograms:
             ),
             NamedSharding(setup.mesh, REPLICATED),
         )
-        radius = np.asarray(jax.jit(fleet.radius_bound)(self.fleet))
-        generate.check_fleet(
-            resolve_world(scenario.world),
-            radius,
-            by_end_effector=scenario.by_end_effector,
-            held=scenario.held_body,
-        )
         self.samples, self.steps_per_sample = _segment_size(scenario)
         self.engine = engines.by_name(scenario.engine, setup.kernels)
         self._state: WorldState | None = None
-        shard = partial(_shard_function, setup, open_store(setup.flight_key(), setup.mesh))
+        shard = partial(_shard_function, setup, setup.open_store(setup.flight_key()))
         # A policy is an argument of the programs: one with other numbers needs no compilation.
         policy_specs = (REPLICATED,) * len(setup.policy)
         reset = partial(self.engine.reset, self.spec)
@@ -327,6 +332,12 @@ class Programs:
         """
         self._setup, scenario = setup, setup.scenario
         self.flight = _shared_flight(setup)
+        generate.check_fleet(
+            resolve_world(scenario.world),
+            np.asarray(jax.jit(fleet.radius_bound)(self.flight.fleet)),
+            by_end_effector=scenario.by_end_effector,
+            held=scenario.held_body,
+        )
         self.memory: DeviceMemory | None = None
         self._problems: dict[Information, CompiledFunction[Problem]] = {}
         self._compiled, self._lock = False, threading.Lock()
@@ -335,7 +346,7 @@ class Programs:
         sampling = build_preparer(
             scenario, setup.planner, setup.tile, shape=setup.paths, policy=policy
         )
-        self.store = open_store(setup.key(), setup.mesh)
+        self.store = setup.open_store(setup.key())
         self.prepare: CompiledFunction[World] = _shard_function(
             setup,
             self.store,

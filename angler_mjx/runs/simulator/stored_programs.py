@@ -60,6 +60,11 @@ def enable_stored_programs() -> None:
     _enabled_by_command = True
 
 
+def are_enabled() -> bool:
+    """Return whether this process stores executables by `enable_stored_programs`."""
+    return _enabled_by_command
+
+
 @cache
 def _find_lapack() -> None:
     """Have JAX look up LAPACK, which it does when it lowers the first program that calls it.

@@ -78,6 +78,43 @@ def test_a_result_says_what_was_judged_and_keeps_no_trajectories(result, manifes
     assert not (result / "answers").exists()
 
 
+def test_processes_side_by_side_judge_the_same(result, tmp_path, problems, manifest):
+    write_card(tmp_path / "s", [NAME, MISSING])
+    for name in (NAME, MISSING):
+        write_plans(tmp_path / "s", name, *straight_lines(problems, name))
+    out = tmp_path / "check"
+    assert checking.check_submission(
+        tmp_path / "s", out, Progress(), manifest=manifest, processes=2
+    )
+    rows = scores(out)
+    assert rows[f"{NAME}/0"] == scores(result)[f"{NAME}/0"]
+    assert [row["planned"] for row in rows.values()] == [1, 1, 1, 1]
+    assert all((out / "runs" / name / "summary.json").is_file() for name in (NAME, MISSING))
+
+
+def test_runs_of_the_same_programs_are_flown_by_one_process(
+    monkeypatch, tmp_path, benchmark, sets, manifest
+):
+    names = ["open-still-known-01", "reef-still-known-01", "corridor-still-known-01"]
+    names += ["reef-ocean-observed-01", "dense-ocean-known-01", "open-still-known-64"]
+    flown = []
+    monkeypatch.setattr(
+        checking.multi_run, "fly_groups", lambda groups, *_: flown.extend(groups) or True
+    )
+    checked = [
+        checking.CheckedSet(
+            entry=sets[name],
+            scenario=problem_sets.build_scenario(benchmark, sets[name], 1),
+            rows=None,
+            bound_s=(60.0, 60.0),
+        )
+        for name in names
+    ]
+    assert checking._fly_sets(checked, tmp_path, Progress(), 4)
+    groups = [{path.removeprefix("runs/") for path, _ in group.parts} for group in flown]
+    assert groups == [{names[5]}, set(names[:2]), {names[2]}, {names[4], names[3]}]
+
+
 def test_each_world_gets_the_verdict_on_its_flights(result, monkeypatch, benchmark, sets):
     """A set that is not flown has none."""
     monkeypatch.setattr(checking, "_judge_world", lambda judged: f"{judged[0].name} {judged[1]}")

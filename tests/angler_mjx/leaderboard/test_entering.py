@@ -2,10 +2,13 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+import zarr
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.leaderboard import entering, problem_sets, submission
+from angler_mjx.progress import Progress
 from angler_mjx.studies.speed.measured import graph_search
 
 
@@ -48,3 +51,27 @@ def test_planners_on_an_accelerator_are_named_and_not_scaled(tmp_path, monkeypat
         for name in ("priority", "RRTConnect")
     ]
     assert factors == [1.0, 2.0]
+
+
+def test_processes_side_by_side_plan_the_same(tmp_path, manifest):
+    sets = ("open-still-known-01", "reef-still-known-01")
+    for count in (1, 2):
+        entering.plan_submission(
+            tmp_path / str(count),
+            {"name": "grid"},
+            Progress(),
+            manifest=manifest,
+            name="grid",
+            sets=sets,
+            processes=count,
+        )
+    for name in sets:
+        one, two = (
+            zarr.open_group(tmp_path / count / "plans" / f"{name}.zarr", mode="r")
+            for count in ("1", "2")
+        )
+        for key in ("points", "time_s", "position_m"):
+            np.testing.assert_array_equal(one[key][:], two[key][:])
+        assert np.all(two["points"][:] >= 2)
+        assert np.all((two["planning_s"][:] > 0) & (two["planning_s"][:] < 1.0))
+    assert sorted(path.name for path in (tmp_path / "2").iterdir()) == ["card.toml", "plans"]

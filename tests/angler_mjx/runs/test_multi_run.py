@@ -30,3 +30,34 @@ def test_the_next_run_is_compiled_while_one_flies(tmp_path, monkeypatch):
     assert multi_run.fly_runs(parts, tmp_path, Progress(), OneProcess(), {})
     for path, _ in parts:
         assert folder.Run(tmp_path / path).summary["timing"]["compile_s"] > 0.0
+
+
+def test_groups_are_whole_if_all_their_runs_are(tmp_path, monkeypatch):
+    plans = {"b": tmp_path / "b.zarr"}
+    groups = [
+        multi_run.RunGroup(building=tmp_path, parts=tuple((name, None) for name in names), plans={})
+        for names in ("a", "cd")
+    ]
+    groups.insert(1, multi_run.RunGroup(building=tmp_path, parts=(("b", None),), plans=plans))
+    flown, whole = [], {"a": True, "b": False, "c": True}
+
+    def fly_runs(parts, building, progress, processes, options, plans):
+        assert building == tmp_path
+        flown.append(([path for path, _ in parts], plans))
+        return whole[parts[0][0]]
+
+    class Counted(Progress):
+        counts = []
+
+        def start(self, total, done=0, unit="worlds"):
+            self.counts.append((total, unit))
+
+        def advance(self, amount, vehicle_steps=0):
+            self.counts.append(amount)
+
+    monkeypatch.setattr(multi_run, "fly_runs", fly_runs)
+    assert not multi_run.fly_groups(groups, Counted(), 1)
+    assert flown == [(["a"], {}), (["b"], plans), (["c", "d"], {})]
+    assert Counted.counts == [(4, "runs"), 1, 1, 2]
+    whole["b"] = True
+    assert multi_run.fly_groups(groups, Progress(), 1)

@@ -7,7 +7,9 @@ from importlib.resources import files
 import jax
 import numpy as np
 import pytest
+import xarray as xr
 
+from angler_experiments.ocean import headland
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.routes.policy import AlongRoutes
 from angler_mjx.runs.simulator import programs
@@ -128,6 +130,28 @@ def test_a_vehicle_file_that_was_edited_is_read_again(small, tmp_path):
     assert any(np.any(old != new) for old, new in zip(before, after, strict=True))
 
 
+def _in_current(small, file):
+    return _edited(small, {"world.currents": [{"type": "grid", "file": str(file)}]})
+
+
+def test_fields_of_files_are_told_apart_by_what_they_hold(small, tmp_path):
+    """Of a copy the flights are the same; an edited file is read again."""
+    first, copy = tmp_path / "first.nc", tmp_path / "copy.nc"
+    headland.write_dataset(first)
+    copy.write_bytes(first.read_bytes())
+    made = _programs(_in_current(small, first))
+    assert _programs(_in_current(small, first)) is made
+    before = _flown(Simulator(_in_current(small, first)))
+    with xr.open_dataset(first) as data:
+        faster = data.load()
+    faster["uo"] *= 1.5
+    faster.to_netcdf(first)
+    edited = _in_current(small, first)
+    assert _programs(edited) is not made
+    after = _flown(Simulator(edited))
+    assert np.any(before[1][1].current_mps != after[1][1].current_mps)
+
+
 def test_code_of_a_caller_is_traced_anew(small, tmp_path):
     policy = AlongRoutes(
         dt_s=small.time.control_dt_s,
@@ -155,25 +179,28 @@ def test_planners_of_the_host_share_the_programs_that_draw_their_problems(small,
 
 
 PLANNERS = {"planner.name": "priority", "planner.margin_m": 0.2, "planner.deadline_s": 3.0}
+ROCK = {"world.rule": {"type": "walls", "count": 1, "gate_cells": 3}}
 
 
-def test_flights_of_other_planners_are_the_same_programs(small):
+def test_flights_of_other_planners_and_rock_are_the_same_programs(small):
     fleet = [{"vehicle": "bluerov2", "count": 2}]  # of one kind: traced in half the time
     fused = _edited(small, {"engine": "fused", "fleet": fleet})
-    first, other = (_programs(scenario) for scenario in (fused, _edited(fused, PLANNERS)))
-    assert other is not first
-    assert other.flight is first.flight
+    edits = [{}, PLANNERS, ROCK]
+    made = [_programs(_edited(fused, edit)) for edit in edits]
+    assert len(set(map(id, made))) == len(edits)
+    assert all(one.flight is made[0].flight for one in made)
     texts = []
-    for made in (first, other):
-        flight, worlds = programs.FlightPrograms(made._setup), made.batch_shape
+    for one in made:
+        flight, worlds = programs.FlightPrograms(one._setup), one.batch_shape
         state = flight.reset.shape(flight.fleet, worlds)
         cells = flight.pack_cells.shape(worlds)
         texts.append(flight.segment.lower(flight.fleet, worlds, state, cells).as_text())
-    assert texts[0] == texts[1]
+    assert texts[0] == texts[1] == texts[2]
 
 
-def test_flights_are_compiled_once_for_all_planners(small):
-    first, other = (Simulator(_edited(small, edits)) for edits in ({}, PLANNERS))
+@pytest.mark.parametrize("edits", [PLANNERS, ROCK], ids=["planner", "rock"])
+def test_flights_are_compiled_once(small, edits):
+    first, other = Simulator(small), Simulator(_edited(small, edits))
     assert first.compile().segment_s > 0
     again = other.compile()
     assert (again.reset_s, again.segment_s) == (0, 0)
