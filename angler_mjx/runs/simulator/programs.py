@@ -128,7 +128,9 @@ class ProgramSetup:
         flights take its cells.
         """
         table = self._traced_table()
-        del table["world"]["rule"]
+        world = table["world"]
+        assert isinstance(world, dict)
+        del world["rule"]
         planner = self._traced_planner() if self.scenario.flown else {}
         return self._key(table, planner)
 

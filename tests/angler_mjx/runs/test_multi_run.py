@@ -39,7 +39,7 @@ def test_groups_are_whole_if_all_their_runs_are(tmp_path, monkeypatch):
         for names in ("a", "cd")
     ]
     groups.insert(1, multi_run.RunGroup(building=tmp_path, parts=(("b", None),), plans=plans))
-    flown, whole = [], {"a": True, "b": False, "c": True}
+    flown, whole, counts = [], {"a": True, "b": False, "c": True}, []
 
     def fly_runs(parts, building, progress, processes, options, plans):
         assert building == tmp_path
@@ -47,17 +47,15 @@ def test_groups_are_whole_if_all_their_runs_are(tmp_path, monkeypatch):
         return whole[parts[0][0]]
 
     class Counted(Progress):
-        counts = []
-
         def start(self, total, done=0, unit="worlds"):
-            self.counts.append((total, unit))
+            counts.append((total, unit))
 
         def advance(self, amount, vehicle_steps=0):
-            self.counts.append(amount)
+            counts.append(amount)
 
     monkeypatch.setattr(multi_run, "fly_runs", fly_runs)
     assert not multi_run.fly_groups(groups, Counted(), 1)
     assert flown == [(["a"], {}), (["b"], plans), (["c", "d"], {})]
-    assert Counted.counts == [(4, "runs"), 1, 1, 2]
+    assert counts == [(4, "runs"), 1, 1, 2]
     whole["b"] = True
     assert multi_run.fly_groups(groups, Progress(), 1)
