@@ -191,7 +191,8 @@ def make_baselines(
 ) -> None:
     """Plan, check and store the package's planners and policies; a repeated call goes on.
 
-    Each baseline is made in parts, one for each team size. Ctrl-C keeps what is planned and flown.
+    Each baseline is made in parts, one for each team size, or at once by several processes. Ctrl-C
+    keeps what is planned and flown.
 
     Args:
         out: Folder of submissions and checks, new or of an earlier call.

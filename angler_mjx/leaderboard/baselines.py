@@ -1,12 +1,13 @@
 """Baselines: the package's planners and policies, planned, flown, judged and stored part by part.
 
-A part is a baseline's sets with teams of one size. The folder of the work holds
-``BASELINE/ROBOTS/submission`` and ``BASELINE/ROBOTS/check``; whatever is there is kept, so that an
-interrupted call is continued by the same call: plans set by set, flights run by run. A baseline's
-judged parts are merged into one result, which `board` shows.
+A part is a baseline's sets with teams of one size, or all of them where several processes make
+them. The folder of the work holds ``BASELINE/PART/submission`` and ``BASELINE/PART/check``;
+whatever is there is kept, so that an interrupted call is continued by the same call: plans set by
+set, flights run by run. A baseline's judged parts are merged into one result, which `board` shows.
 """
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,6 +38,8 @@ HOST_PLANNERS = (
     "AORRTC",
 )
 """Planners of OMPL."""
+ALL = "all"
+"""Folder of a part with teams of all sizes."""
 MAX_HOST_ROBOTS = 8
 """Robots of the largest teams that they enter for: they search the space of all robots at once."""
 
@@ -120,13 +123,13 @@ def make_baselines(
             progress.report(
                 f"{baseline.name} does not enter {len(refusals)} of {len(chosen)} sets: {first}"
             )
-        parts = {
-            entry.robots: [e for e in entries if e.robots == entry.robots] for entry in entries
-        }
-        for number, (robots, part) in enumerate(parts.items()):
-            team = "1 robot" if robots == 1 else f"{robots} robots"
+        parts: dict[str, list[ProblemSet]] = {}
+        for entry in entries:
+            parts.setdefault(f"{entry.robots:02d}" if processes < 2 else ALL, []).append(entry)
+        for number, (name, part) in enumerate(parts.items()):
+            team = "teams of all sizes" if name == ALL else f"teams of {int(name)}"
             progress.report(f"{baseline.name}, part {number + 1} of {len(parts)}: {team}")
-            folder = out / baseline.name / f"{robots:02d}"
+            folder = out / baseline.name / name
             if not checking.is_complete(folder / "check"):
                 _make_part(
                     baseline,
@@ -233,7 +236,8 @@ def merge_results(parts: Sequence[Mapping[str, Any]], name: str) -> dict[str, An
         name: of the planner, for messages.
 
     Raises:
-        ConfigError: they are of other problems, or were flown by different physics.
+        ConfigError: they are of other problems or of the same set, or were flown by different
+            physics.
     """
     first = parts[0]
     for key in ("benchmark", "problems_sha256", "hidden", "physics"):
@@ -241,6 +245,11 @@ def merge_results(parts: Sequence[Mapping[str, Any]], name: str) -> dict[str, An
             raise ConfigError(
                 f"{name}: its parts have different {key}; remove those of the older version"
             )
+    counts = Counter(entered for part in parts for entered in part["entered"])
+    if repeated := [entered for entered, count in counts.items() if count > 1]:
+        raise ConfigError(
+            f"{name}: {repeated[0]} was judged in two parts; make it in another folder (--out)"
+        )
     factors = [part["planned_on"]["factor"] for part in parts]
     return {
         **first,

@@ -109,17 +109,20 @@ def judged(monkeypatch):
     """Planning and checking that take no time; the second check is interrupted once."""
     calls = []
 
-    def plan_submission(out, planner, progress, *, manifest, name, sets, workers):
+    def plan_submission(out, planner, progress, *, manifest, name, sets, workers, processes):
+        assert processes == (2 if out.parent.name == "all" else 1)
         calls.append(("plan", name, sets))
 
-    def check_submission(source, out, progress, *, manifest, resume, keep_flights):
+    def check_submission(source, out, progress, *, manifest, resume, keep_flights, processes):
+        assert processes == (2 if out.parent.name == "all" else 1)
         calls.append(("check", out.parent.name, resume))
         if calls.count(("check", "02", False)) == 1 and not resume and out.parent.name == "02":
             (out.parent / f".{out.name}.partial").mkdir(parents=True)
             return False
         robots = out.parent.name
         out.mkdir(parents=True)
-        names = [f"open-still-known-{robots}"]
+        sizes = ("01", "02") if robots == "all" else (robots,)
+        names = [f"open-still-known-{size}" for size in sizes]
         (out / "result.json").write_text(json.dumps(part(out.parent.parent.name, *names)))
         return True
 
@@ -144,6 +147,18 @@ def test_an_interrupted_baseline_goes_on_where_it_was(judged, tmp_path):
     assert judged == [("plan", "priority", ("open-still-known-02",)), ("check", "02", True)]
     entered = json.loads(path.read_text())["entered"]
     assert entered == ["open-still-known-01", "open-still-known-02"]
+
+
+def test_several_processes_make_all_teams_at_once(judged, tmp_path):
+    chosen = baselines.select_baselines(["priority"])
+    arguments = (chosen, tmp_path / "work", tmp_path / "store", Progress())
+    sets = ("open-still-01", "open-still-02")
+    (path,) = baselines.make_baselines(*arguments, sets=sets, processes=2)
+    names = ("open-still-known-01", "open-still-known-02")
+    assert judged == [("plan", "priority", names), ("check", "all", False)]
+    assert json.loads(path.read_text())["entered"] == list(names)
+    with pytest.raises(ConfigError, match="open-still-known-01 was judged in two parts"):
+        list(baselines.make_baselines(*arguments, sets=sets[:1]))
 
 
 def test_a_policy_enters_by_a_card_in_flight(judged, tmp_path):
