@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from jax import monitoring
 
+from angler_experiments.ocean import headland
 from angler_mjx.runs.simulator import compilation, compile_cache, programs, stored_programs
 from angler_mjx.runs.simulator.compilation import CompiledFunction, ParallelCompiler
 from angler_mjx.runs.simulator.devices import build_mesh
@@ -54,6 +55,16 @@ def single(tmp_path_factory):
     """The cheapest scenario to compile: a robot in open water."""
     path = tmp_path_factory.mktemp("single") / "single.toml"
     path.write_text(SINGLE)
+    return load_scenario(path)
+
+
+@pytest.fixture(scope="module")
+def in_current(tmp_path_factory):
+    """The same in the current of a file."""
+    folder = tmp_path_factory.mktemp("tide")
+    headland.write_dataset(folder / "headland.nc")
+    path = folder / "tide.toml"
+    path.write_text(f'{SINGLE}\n[[world.currents]]\ntype = "grid"\nfile = "headland.nc"\n')
     return load_scenario(path)
 
 
@@ -303,9 +314,13 @@ def fly(scenario):
         monitoring.unregister_event_duration_listener(listen)
 
 
-@pytest.mark.parametrize("engine", ["mjx", "fused"])
-def test_a_simulator_of_stored_programs_traces_none_and_flies_the_same(folder, single, engine):
-    small = single.model_copy(update={"engine": engine})
+@pytest.mark.parametrize(
+    ("name", "engine"), [("single", "mjx"), ("single", "fused"), ("in_current", "fused")]
+)
+def test_a_simulator_of_stored_programs_traces_none_and_flies_the_same(
+    folder, request, name, engine
+):
+    small = request.getfixturevalue(name).model_copy(update={"engine": engine})
     flown, traced = fly(small)
     assert {"sample_tile", "reset", "_run_segment"} <= set(traced)
     again, traced = fly(small)
@@ -314,6 +329,14 @@ def test_a_simulator_of_stored_programs_traces_none_and_flies_the_same(folder, s
         jax.tree.leaves_with_path(flown), jax.tree.leaves(again), strict=True
     ):
         np.testing.assert_array_equal(leaf, other, err_msg=jax.tree_util.keystr(path))
+
+
+def test_programs_that_hold_large_fields_are_not_stored(folder, in_current):
+    assert Simulator(in_current).programs.store is not None
+    programs.clear_shared()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(programs, "MAX_STORED_FIELD_BYTES", in_current.world.held_bytes - 1)
+        assert Simulator(in_current).programs.store is None
 
 
 def test_only_another_simulation_has_another_key(folder, scenario):
