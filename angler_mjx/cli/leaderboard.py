@@ -261,7 +261,7 @@ def _count_processes(wanted: int | None) -> int:
     from angler_mjx.cli.shared.inputs import require_positive
     from angler_mjx.runs import device_processes
 
-    device_processes.share_memory()
+    device_processes.disable_preallocation()
     return require_positive("processes", wanted) or device_processes.default_count()
 
 

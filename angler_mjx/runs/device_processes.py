@@ -28,8 +28,8 @@ PREALLOCATION = "XLA_PYTHON_CLIENT_PREALLOCATE"
 """Environment variable; "false" keeps JAX from taking three quarters of a GPU's memory at once."""
 
 
-def share_memory() -> None:
-    """Leave a GPU's memory to other processes, unless the user chose; before JAX starts."""
+def disable_preallocation() -> None:
+    """Have JAX take a GPU's memory as needed, unless the user chose; before it starts devices."""
     os.environ.setdefault(PREALLOCATION, "false")
 
 
@@ -48,7 +48,7 @@ class _Task[T, R]:
     is_stored: bool
 
     def run(self) -> R:
-        share_memory()
+        disable_preallocation()
         for name, value in self.settings.items():
             if getattr(jax.config, name) != value:
                 jax.config.update(name, value)

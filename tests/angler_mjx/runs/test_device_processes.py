@@ -64,8 +64,8 @@ def test_a_gpu_is_shared_by_half_as_many_as_processors(monkeypatch, backend, pro
 
 def test_memory_is_shared_unless_the_user_chose(monkeypatch):
     monkeypatch.delenv(device_processes.PREALLOCATION, raising=False)
-    device_processes.share_memory()
+    device_processes.disable_preallocation()
     assert os.environ[device_processes.PREALLOCATION] == "false"
     monkeypatch.setenv(device_processes.PREALLOCATION, "true")
-    device_processes.share_memory()
+    device_processes.disable_preallocation()
     assert os.environ[device_processes.PREALLOCATION] == "true"
