@@ -39,6 +39,16 @@ def scores(result):
     }
 
 
+def checked_set(benchmark, entry, rows, **options):
+    return checking.CheckedSet(
+        entry=entry,
+        scenario=problem_sets.build_scenario(benchmark, entry, 1),
+        rows=rows,
+        bound_s=(60.0, 60.0),
+        **options,
+    )
+
+
 def test_a_straight_line_in_open_water_is_solved(result, problems):
     row = scores(result)[f"{NAME}/0"]
     arrays, _ = straight_lines(problems, NAME)
@@ -101,15 +111,7 @@ def test_runs_of_the_same_programs_are_flown_by_one_process(
     monkeypatch.setattr(
         checking.multi_run, "fly_groups", lambda groups, *_: flown.extend(groups) or True
     )
-    checked = [
-        checking.CheckedSet(
-            entry=sets[name],
-            scenario=problem_sets.build_scenario(benchmark, sets[name], 1),
-            rows=None,
-            bound_s=(60.0, 60.0),
-        )
-        for name in names
-    ]
+    checked = [checked_set(benchmark, sets[name], None) for name in names]
     assert checking._fly_sets(checked, tmp_path, Progress(), 4)
     groups = [{path.removeprefix("runs/") for path, _ in group.parts} for group in flown]
     assert groups == [{names[5]}, set(names[:2]), {names[2]}, {names[4], names[3]}]
@@ -120,13 +122,7 @@ def test_each_world_gets_the_verdict_on_its_flights(result, monkeypatch, benchma
     monkeypatch.setattr(checking, "_judge_world", lambda judged: f"{judged[0].name} {judged[1]}")
     empty = empty_rows(sets[MISSING], "missing")
     checked = [
-        checking.CheckedSet(
-            entry=sets[name],
-            scenario=problem_sets.build_scenario(benchmark, sets[name], 1),
-            rows=rows,
-            bound_s=(60.0, 60.0),
-        )
-        for name, rows in ((MISSING, empty), (NAME, None))
+        checked_set(benchmark, sets[name], rows) for name, rows in ((MISSING, empty), (NAME, None))
     ]
     reasons = [score.reason for score in checking._judge_sets(checked, result, Progress())]
     assert reasons == ["missing", "missing", f"{NAME} 0", f"{NAME} 1"]
@@ -207,25 +203,15 @@ def test_planning_times_are_limited_after_division_by_the_factor(
     benchmark, sets, seconds, factor, reason
 ):
     rows = empty_rows(replace(sets[NAME], problems=1), "")
-    one = checking.CheckedSet(
-        entry=sets[NAME],
-        scenario=problem_sets.build_scenario(benchmark, sets[NAME], 1),
-        rows=replace(rows, planning_s=np.array([seconds])),
-        bound_s=(60.0,),
-        time_factor=factor,
-    )
+    timed = replace(rows, planning_s=np.array([seconds]))
+    one = checked_set(benchmark, sets[NAME], timed, time_factor=factor)
     assert checking._find_late(one, 0) == reason
 
 
 def test_a_problem_that_nobody_flies_has_the_reason_of_its_file(benchmark, sets):
     rows = replace(empty_rows(replace(sets[NAME], problems=2), ""), notes={(1, 0): "walled in"})
     rows = replace(rows, faults=["", ""])
-    one = checking.CheckedSet(
-        entry=sets[NAME],
-        scenario=problem_sets.build_scenario(benchmark, sets[NAME], 1),
-        rows=rows,
-        bound_s=(60.0, 60.0),
-    )
+    one = checked_set(benchmark, sets[NAME], rows)
     reasons = [checking._unflown_score(one, world).reason for world in range(2)]
     assert reasons == ["robot 0 has no plan: no path", "robot 0 has no plan: walled in"]
 
