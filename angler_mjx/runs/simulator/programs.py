@@ -74,9 +74,6 @@ SEGMENT_SAMPLES, SEGMENT_STEPS = 25, 100
 """Maximum number of samples of a segment, or of control steps where that is more. A call took an
 H200 2 ms to begin: as long as 70 control steps of 1,024 worlds of 8 robots."""
 
-MAX_STORED_FIELD_BYTES = 16 << 20
-"""Bytes of current fields up to which programs are stored on disk: each holds the fields."""
-
 UNTRACED_KEYS = {"name", "description", "worlds", "seed", "tile"}
 """Keys of a scenario that no program depends on; the tile is a separate input."""
 UNTRACED_PLANNER_KEYS = {"name", "requested", "settings"}
@@ -135,10 +132,8 @@ class ProgramSetup:
         return self._key(table, planner)
 
     def open_store(self, key: Hashable | None) -> ProgramStore | None:
-        """Return the folder of executables; None for programs that hold too large fields."""
-        if self.scenario.world.held_bytes > MAX_STORED_FIELD_BYTES:
-            return None
-        return open_store(key, self.mesh)
+        """Return the folder of executables; None for programs that hold fields of files."""
+        return None if self.scenario.world.files else open_store(key, self.mesh)
 
     def _key(self, *traced: Hashable | JsonTable) -> Hashable | None:
         """Return a value of tables that are traced, and of all else that programs depend on."""

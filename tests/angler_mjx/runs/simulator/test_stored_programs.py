@@ -314,13 +314,9 @@ def fly(scenario):
         monitoring.unregister_event_duration_listener(listen)
 
 
-@pytest.mark.parametrize(
-    ("name", "engine"), [("single", "mjx"), ("single", "fused"), ("in_current", "fused")]
-)
-def test_a_simulator_of_stored_programs_traces_none_and_flies_the_same(
-    folder, request, name, engine
-):
-    small = request.getfixturevalue(name).model_copy(update={"engine": engine})
+@pytest.mark.parametrize("engine", ["mjx", "fused"])
+def test_a_simulator_of_stored_programs_traces_none_and_flies_the_same(folder, single, engine):
+    small = single.model_copy(update={"engine": engine})
     flown, traced = fly(small)
     assert {"sample_tile", "reset", "_run_segment"} <= set(traced)
     again, traced = fly(small)
@@ -331,12 +327,9 @@ def test_a_simulator_of_stored_programs_traces_none_and_flies_the_same(
         np.testing.assert_array_equal(leaf, other, err_msg=jax.tree_util.keystr(path))
 
 
-def test_programs_that_hold_large_fields_are_not_stored(folder, in_current):
-    assert Simulator(in_current).programs.store is not None
-    programs.clear_shared()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(programs, "MAX_STORED_FIELD_BYTES", in_current.world.held_bytes - 1)
-        assert Simulator(in_current).programs.store is None
+def test_programs_that_hold_fields_are_not_stored(folder, single, in_current):
+    assert Simulator(single).programs.store is not None
+    assert Simulator(in_current).programs.store is None
 
 
 def test_only_another_simulation_has_another_key(folder, scenario):
