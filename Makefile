@@ -41,7 +41,7 @@ test mutants fuzz-sim: export XLA_FLAGS ?= --xla_backend_extra_options=xla_cpu_d
 # Locations in programs name no Python frames: a tenth less to trace and write down.
 test mutants fuzz-sim: export JAX_TRACEBACK_IN_LOCATIONS_LIMIT ?= 0
 test: $(STAMP)  ## run the tests
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder \
+	$(BIN)/python -m pytest -n 2 --max-worker-restart 0 --dist loadfile --no-loadscope-reorder \
 	  --deviations=.cache/deviations.json $(PYTEST_ARGS)
 
 fuzz: COUNT ?= 100000
