@@ -40,6 +40,7 @@ test mutants fuzz-sim: export XLA_FLAGS ?= --xla_backend_extra_options=xla_cpu_d
 	--xla_backend_optimization_level=0
 # Locations in programs name no Python frames: a tenth less to trace and write down.
 test mutants fuzz-sim: export JAX_TRACEBACK_IN_LOCATIONS_LIMIT ?= 0
+# pytest-xdist waits for ever once it has replaced a worker that crashed: none is replaced.
 test: $(STAMP)  ## run the tests
 	$(BIN)/python -m pytest -n 2 --max-worker-restart 0 --dist loadfile --no-loadscope-reorder \
 	  --deviations=.cache/deviations.json $(PYTEST_ARGS)

@@ -78,13 +78,11 @@ def plan(
         secret: File that hidden problems were made with.
         workers: Number of planning processes, for planners on the host; one for each processor if
             left out.
-        processes: Processes that compile and plan side by side on the device; on a GPU half of the
-            processors, at most 8, else 1, if left out.
+        processes: Processes that compile planners side by side for the device, where they are
+            called one by one; on a GPU half of the processors, at most 8, else 1, if left out.
         device: Device to sample the worlds and plan on; JAX's choice if left out.
     """
-    choose_device(device)
-    keep_all_programs()
-    count = _count_processes(processes)
+    count = _begin_processes(device, processes)
     from angler_mjx.cli.shared.inputs import require_positive
     from angler_mjx.cli.shared.progress import ProgressBar
     from angler_mjx.leaderboard.entering import plan_submission
@@ -132,9 +130,7 @@ def check(
             processors, at most 8, else 1, if left out.
         device: Device to fly on; JAX's choice if left out.
     """
-    choose_device(device)
-    keep_all_programs()
-    count = _count_processes(processes)
+    count = _begin_processes(device, processes)
     from angler_mjx.cli.shared.progress import ProgressBar
     from angler_mjx.leaderboard import checking, scores
 
@@ -207,9 +203,7 @@ def make_baselines(
         keep_flights: Keep the trajectories, for angler leaderboard films.
         device: Device to plan and fly on; JAX's choice if left out.
     """
-    choose_device(device)
-    keep_all_programs()
-    count = _count_processes(processes)
+    count = _begin_processes(device, processes)
     from angler_mjx.cli.shared.inputs import require_positive
     from angler_mjx.cli.shared.progress import ProgressBar
     from angler_mjx.leaderboard import baselines, board, problem_sets
@@ -256,12 +250,14 @@ def film(
                 bar.report(str(path))
 
 
-def _count_processes(wanted: int | None) -> int:
-    """Return the number of processes that share the device; before JAX starts it."""
+def _begin_processes(device: Device | None, wanted: int | None) -> int:
+    """Choose a device whose memory several processes take, and return their number."""
     from angler_mjx.cli.shared.inputs import require_positive
     from angler_mjx.runs import device_processes
 
-    device_processes.disable_preallocation()
+    device_processes.disable_preallocation()  # to choose a GPU starts it
+    choose_device(device)
+    keep_all_programs()
     return require_positive("processes", wanted) or device_processes.default_count()
 
 

@@ -1,7 +1,7 @@
 """Processes that compile and run programs side by side, all on the devices of this one.
 
 Tracing holds Python's lock: many programs are compiled in the time of a few only by processes. On a
-CPU one is enough, since XLA uses all processors for one program.
+CPU the default is one: XLA compiles and runs a program on all processors.
 """
 
 import os
@@ -14,7 +14,7 @@ from angler_mjx.runs.simulator import stored_programs
 from angler_mjx.runs.storage.parallel import cpu_count, map_in_order, open_processes
 
 MAX_PROCESSES = 8
-"""Processes by default at most: each takes about 0.6 GB of an accelerator's memory to begin."""
+"""Processes by default at most: each has a context of its own in the device's memory."""
 
 INHERITED = (
     "jax_platforms",

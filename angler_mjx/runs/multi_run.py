@@ -126,8 +126,7 @@ class RunGroup:
 
     def fly(self) -> bool:
         """Fly what is left of the runs; whether all are whole now."""
-        plans = dict(self.plans)
-        return fly_runs(self.parts, self.building, Progress(), OneProcess(), {}, plans)
+        return fly_runs(self.parts, self.building, Progress(), OneProcess(), {}, self.plans)
 
 
 def fly_groups(groups: Sequence[RunGroup], progress: Progress, processes: int) -> bool:

@@ -1,16 +1,19 @@
 """Baselines made part by part, interrupted and continued; films of their flights."""
 
 import json
+import os
 from importlib import resources
 from pathlib import Path
 
 import pytest
 
+from angler_mjx.cli import leaderboard as commands
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError
 from angler_mjx.leaderboard import baselines, checking, entering, films, problem_files, problem_sets
 from angler_mjx.planning import register
 from angler_mjx.progress import Progress
+from angler_mjx.runs import device_processes
 
 from .test_scores import result, row
 
@@ -199,3 +202,18 @@ def test_a_check_without_flights_cannot_be_filmed(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["leaderboard", "films", str(tmp_path), "--out", str(tmp_path / "films")])
     assert "--keep-flights keeps them" in capsys.readouterr().err
+
+
+def test_no_process_takes_the_memory_of_the_others(monkeypatch):
+    """To look for a GPU starts it: how much memory it takes must be decided by then."""
+    seen = []
+    monkeypatch.delenv(device_processes.PREALLOCATION, raising=False)
+    monkeypatch.setattr(
+        commands,
+        "choose_device",
+        lambda device: seen.append((device, os.environ.get(device_processes.PREALLOCATION))),
+    )
+    assert commands._begin_processes("gpu", 3) == 3
+    assert seen == [("gpu", "false")]
+    with pytest.raises(ConfigError, match="--processes 0: must be at least 1"):
+        commands._begin_processes(None, 0)

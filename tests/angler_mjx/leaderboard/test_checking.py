@@ -102,9 +102,7 @@ def test_processes_side_by_side_judge_the_same(result, tmp_path, problems, manif
     assert all((out / "runs" / name / "summary.json").is_file() for name in (NAME, MISSING))
 
 
-def test_runs_of_the_same_programs_are_flown_by_one_process(
-    monkeypatch, tmp_path, benchmark, sets, manifest
-):
+def test_runs_of_the_same_programs_are_flown_by_one_process(monkeypatch, tmp_path, benchmark, sets):
     names = ["open-still-known-01", "reef-still-known-01", "corridor-still-known-01"]
     names += ["reef-ocean-observed-01", "dense-ocean-known-01", "open-still-known-64"]
     flown = []

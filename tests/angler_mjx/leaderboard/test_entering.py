@@ -1,5 +1,6 @@
 """Cards that the plan command writes, and finds again."""
 
+import fcntl
 from types import SimpleNamespace
 
 import numpy as np
@@ -53,6 +54,21 @@ def test_planners_on_an_accelerator_are_named_and_not_scaled(tmp_path, monkeypat
     assert factors == [1.0, 2.0]
 
 
+def test_a_planner_is_timed_while_others_wait(tmp_path, monkeypatch):
+    lock, written = tmp_path / "lock", []
+
+    def write_plans(part):
+        with lock.open("w") as other, pytest.raises(BlockingIOError):
+            fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        written.append(part)
+
+    program = SimpleNamespace(write_plans=write_plans)
+    monkeypatch.setattr(entering, "_compile_planner", lambda part: program)
+    for part in ("first", "second"):
+        entering._plan_timed_alone(part, lock)
+    assert written == ["first", "second"]
+
+
 def test_processes_side_by_side_plan_the_same(tmp_path, manifest):
     sets = ("open-still-known-01", "reef-still-known-01")
     for count in (1, 2):
@@ -73,5 +89,5 @@ def test_processes_side_by_side_plan_the_same(tmp_path, manifest):
         for key in ("points", "time_s", "position_m"):
             np.testing.assert_array_equal(one[key][:], two[key][:])
         assert np.all(two["points"][:] >= 2)
-        assert np.all((two["planning_s"][:] > 0) & (two["planning_s"][:] < 1.0))
+        assert np.all((two["planning_s"][:] > 0) & np.isfinite(two["planning_s"][:]))
     assert sorted(path.name for path in (tmp_path / "2").iterdir()) == ["card.toml", "plans"]
