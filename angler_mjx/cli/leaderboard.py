@@ -206,7 +206,7 @@ def make_baselines(
     count = _begin_processes(device, processes)
     from angler_mjx.cli.shared.inputs import require_positive
     from angler_mjx.cli.shared.progress import ProgressBar
-    from angler_mjx.leaderboard import baselines, board, problem_sets
+    from angler_mjx.leaderboard import baselines, board
 
     planning = require_positive("workers", workers)
     chosen = baselines.select_baselines(only)
@@ -215,7 +215,7 @@ def make_baselines(
             for path in baselines.make_baselines(
                 chosen,
                 out,
-                store or problem_sets.data_folder() / board.BASELINES,
+                store or board.baselines_folder(),
                 bar,
                 sets=sets,
                 workers=planning,

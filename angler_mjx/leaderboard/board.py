@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.leaderboard import checking, problem_sets
+from angler_mjx.leaderboard import checking, problem_sets, submission
 from angler_mjx.leaderboard.scores import (
     MEDIANS,
     Interval,
@@ -77,7 +77,8 @@ def build_board(results: Sequence[Path], out: Path, *, baselines: bool) -> Path:
     Args:
         results: results folders of checks, or their ``result.json``.
         out: folder of the page; replaced if it is a board.
-        baselines: show the package's own planners too.
+        baselines: show the package's own planners too, marked as baselines. A result of the same
+            name stands beside them.
 
     Returns:
         The page.
@@ -87,17 +88,20 @@ def build_board(results: Sequence[Path], out: Path, *, baselines: bool) -> Path:
     """
     paths = list(results)
     if baselines:
-        paths += sorted((problem_sets.data_folder() / BASELINES).glob("*.json"))
+        paths += sorted(baselines_folder().glob("*.json"))
     if not paths:
         raise ConfigError(
             "angler leaderboard build: no results; name folders of angler leaderboard check"
         )
     tables = [checking.read_result(path) for path in paths]
     names: dict[str, Path] = {}
-    for table, path in zip(tables, paths, strict=True):
+    for table, path in zip(tables[: len(results)], results, strict=True):
         name = f"{table['card']['name']} ({'hidden' if table['hidden'] else 'public'})"
         if name in names:
-            raise ConfigError(f"{path}: is called {name!r}, as {names[name]} is")
+            raise ConfigError(
+                f"{path}: is called {name!r}, as {names[name]} is; leave one out, or give it "
+                f"another name in its {submission.CARD} and check it again"
+            )
         names[name] = path
     if out.exists() and not (out / PAGE).is_file():
         raise ConfigError(f"{out}: is no board; choose another folder")
@@ -106,12 +110,19 @@ def build_board(results: Sequence[Path], out: Path, *, baselines: bool) -> Path:
     for number, path in enumerate(paths):
         source = path / checking.RESULT if path.is_dir() else path
         shutil.copyfile(source, out / RESULTS / f"{number:03d}.json")
-    write_text(out / PAGE, format_board(tables))
+    write_text(out / PAGE, format_board(tables[: len(results)], tables[len(results) :]))
     return out / PAGE
 
 
-def format_board(tables: Sequence[Mapping[str, Any]]) -> str:
-    """Return the page of some results, whose copies stand in their order in `RESULTS`."""
+def baselines_folder() -> Path:
+    """Return the folder of stored results of the package's planners."""
+    return problem_sets.data_folder() / BASELINES
+
+
+def format_board(
+    results: Sequence[Mapping[str, Any]], baselines: Sequence[Mapping[str, Any]] = ()
+) -> str:
+    """Return the page of results and baselines, whose copies stand in this order in `RESULTS`."""
     benchmark = problem_sets.load_benchmark()
     every = problem_sets.list_problem_sets(benchmark)
     entries = [
@@ -120,8 +131,9 @@ def format_board(tables: Sequence[Mapping[str, Any]]) -> str:
             source=f"{RESULTS}/{number:03d}.json",
             tiers={tier.name: tier for tier in score_tiers(table["scores"])},
             is_whole=len(set(table["entered"])) == len(every),
+            is_baseline=number >= len(results),
         )
-        for number, table in enumerate(tables)
+        for number, table in enumerate([*results, *baselines])
     ]
     sections = []
     for is_hidden in (False, True):
@@ -166,6 +178,8 @@ class BoardEntry:
     """Scores by names of tiers; without those that it did not enter."""
     is_whole: bool
     """Whether all sets are entered."""
+    is_baseline: bool
+    """Whether it is a stored result of the package's planners."""
 
     @property
     def solved(self) -> int:
@@ -210,7 +224,9 @@ def _list_columns() -> list[tuple[str, list[tuple[str, int]]]]:
 
 
 def _format_group(group: Sequence[BoardEntry], *, is_hidden: bool, is_whole: bool) -> str:
-    ordered = sorted(group, key=lambda entry: (-entry.solved, entry.table["card"]["name"]))
+    ordered = sorted(
+        group, key=lambda entry: (-entry.solved, entry.table["card"]["name"], entry.is_baseline)
+    )
     kind = "Hidden problems" if is_hidden else "Public problems"
     extent = "all sets" if is_whole else "part of the sets"
     columns = _list_columns()
@@ -223,7 +239,9 @@ def _format_group(group: Sequence[BoardEntry], *, is_hidden: bool, is_whole: boo
         for at, (name, count) in enumerate(tiers)
     )
     rows = "\n".join(
-        f"<tr><td>{escape(entry.table['card']['name'])}</td>"
+        f"<tr><td>{escape(entry.table['card']['name'])}"
+        + ("<br><small>baseline</small>" if entry.is_baseline else "")
+        + "</td>"
         + "".join(
             _format_rate(entry.tiers.get(name), count, at)
             for _, tiers in columns

@@ -207,6 +207,20 @@ def test_the_board_states_physics_machine_factor_and_time_limits(tmp_path):
     assert ">1<br><small>1&ndash;1</small>" in page
 
 
+def test_a_result_with_the_name_of_a_baseline_stands_beside_it(tmp_path):
+    # What a stranger gets who plans with a planner of the package, as the benchmark's page shows.
+    (stored,) = board.baselines_folder().glob("grid.json")
+    path = write(tmp_path, "grid")
+    page = board.build_board([path], tmp_path / "board", baselines=True).read_text()
+    assert page.count("<td>grid</td>") == 1
+    assert page.count("<td>grid<br><small>baseline</small></td>") == 1
+    kept = [json.loads(p.read_text()) for p in sorted((tmp_path / "board" / "results").iterdir())]
+    assert kept[0]["entered"] == sorted({row["set"] for row in ROWS})
+    assert json.loads(stored.read_text()) in kept[1:]
+    with pytest.raises(ConfigError, match="is called 'grid"):
+        board.build_board([path, path], tmp_path / "board", baselines=True)
+
+
 def test_boards_of_two_results_with_one_name_or_in_a_strange_folder_are_refused(tmp_path):
     path = write(tmp_path, "a")
     with pytest.raises(ConfigError, match="is called 'a"):
