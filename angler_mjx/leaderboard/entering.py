@@ -2,11 +2,9 @@
 
 import fcntl
 import json
-import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,6 +18,7 @@ from angler_mjx.files import parse_model
 from angler_mjx.leaderboard import problem_files, problem_sets, submission
 from angler_mjx.leaderboard.checking import build_planned_scenario
 from angler_mjx.leaderboard.problem_files import ProblemManifest
+from angler_mjx.leaderboard.problem_sets import ProblemSet
 from angler_mjx.leaderboard.submission import Card
 from angler_mjx.planning import register
 from angler_mjx.planning.device_planner import build_device_planner
@@ -30,7 +29,7 @@ from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs.device_processes import map_on_devices
 from angler_mjx.runs.provenance import processor_name
 from angler_mjx.runs.simulator.compilation import CompiledFunction
-from angler_mjx.runs.simulator.host_planning import PlanNotes, planning_status
+from angler_mjx.runs.simulator.host_planning import PlanNotes, path_shape, planning_status
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.simulator.world_preparation import (
     problem_settings,
@@ -42,6 +41,9 @@ from angler_mjx.runs.storage.plans import write as plan_writer
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
 from angler_mjx.studies.speed.measured import graph_search
+
+type PlanBatch = Callable[[Problem], Plan]
+"""Compiled planner of problems of one shape, [world] leading."""
 
 
 def plan_submission(
@@ -97,6 +99,7 @@ def plan_submission(
             waiting.append(entry)
     parts = [
         SetToPlan(
+            entry=entry,
             path=out / submission.PLANS / f"{entry.name}.zarr",
             scenario=build_planned_scenario(
                 problem_files.build_set_scenario(
@@ -108,25 +111,25 @@ def plan_submission(
         )
         for entry in waiting
     ]
-    if processes > 1 and register.find(str(planner["name"])).on_device:
-        _plan_side_by_side(parts, processes, progress)
-        return
-    count = max(1, (os.cpu_count() or 1) // 2)
-    for first in range(0, len(parts), count):
-        batch = parts[first : first + count]
-        progress.describe(batch[-1].scenario.name)
-        for part in _plan_sets(batch, workers):
-            progress.advance(part.scenario.worlds)
+    _plan_sets(parts, processes, workers, progress)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetToPlan:
     """A set without a file of plans."""
 
+    entry: ProblemSet
     path: Path
     """Of the file to make."""
     scenario: Scenario
     """With the planner."""
+
+    @property
+    def kind(self) -> Hashable:
+        """Value that is equal for sets that may need the same program of a planner."""
+        information = self.scenario.planner.information.to_information()
+        settings = problem_settings(self.scenario, information)
+        return self.entry.robots, self.entry.condition, settings
 
 
 def _write_card(path: Path, card: dict[str, Any], planner: Mapping[str, object]) -> float:
@@ -168,37 +171,51 @@ def _uses_accelerator(planner: Mapping[str, object]) -> bool:
     return register.find(str(planner["name"])).on_device and jax.default_backend() != "cpu"
 
 
-def _plan_sets(parts: Sequence[SetToPlan], workers: int | None) -> Iterator[SetToPlan]:
-    """Plan sets; programs of the device are compiled side by side, then timed one by one."""
-    spec = parts[0].scenario.planner.planner_spec()
-    if not spec.reference.on_device:
+def _plan_sets(
+    parts: Sequence[SetToPlan], processes: int, workers: int | None, progress: Progress
+) -> None:
+    """Plan sets; planners of a device are timed one by one, in however many processes."""
+    if parts and not parts[0].scenario.planner.planner_spec().reference.on_device:
         for part in parts:
+            progress.describe(part.entry.name)
             _plan_on_host(part, workers)
-            yield part
+            progress.advance(part.entry.problems)
         return
-    with ThreadPoolExecutor(len(parts), thread_name_prefix="planner") as threads:
-        programs = list(threads.map(_compile_planner, parts))
-    for part, program in zip(parts, programs, strict=True):
-        program.write_plans(part)
-        yield part
+    groups: dict[Hashable, list[SetToPlan]] = {}
+    for part in parts:
+        groups.setdefault(part.kind, []).append(part)
+    with tempfile.NamedTemporaryFile() as file:
+        lock = Path(file.name)
+        if processes < 2:
+            for group in groups.values():
+                programs: dict[Hashable, PlanBatch] = {}
+                for part in group:
+                    progress.describe(part.entry.name)
+                    _plan_timed_alone(part, programs, lock)
+                    progress.advance(part.entry.problems)
+            return
+        # Large teams take longest: they begin first.
+        ordered = sorted(groups.values(), key=lambda group: -group[0].entry.robots)
+        plan = partial(_plan_alike, lock=lock)
+        planned = map_on_devices(plan, ordered, min(processes, len(ordered)), __name__)
+        for group, _ in zip(ordered, planned, strict=True):
+            progress.describe(group[-1].entry.name)
+            progress.advance(sum(part.entry.problems for part in group))
 
 
-def _plan_side_by_side(parts: Sequence[SetToPlan], processes: int, progress: Progress) -> None:
-    """Plan sets with a planner of a device, in processes."""
-    with tempfile.NamedTemporaryFile() as lock:
-        plan = partial(_plan_timed_alone, lock=Path(lock.name))
-        planned = map_on_devices(plan, parts, min(processes, len(parts)), __name__)
-        for part, _ in zip(parts, planned, strict=True):
-            progress.describe(part.scenario.name)
-            progress.advance(part.scenario.worlds)
+def _plan_alike(parts: Sequence[SetToPlan], lock: Path) -> None:
+    """Plan sets that may share programs."""
+    programs: dict[Hashable, PlanBatch] = {}
+    for part in parts:
+        _plan_timed_alone(part, programs, lock)
 
 
-def _plan_timed_alone(part: SetToPlan, lock: Path) -> None:
+def _plan_timed_alone(part: SetToPlan, programs: dict[Hashable, PlanBatch], lock: Path) -> None:
     """Plan a set; processes with the same lock call their planners one after another."""
-    program = _compile_planner(part)
+    planner = _compile_planner(part, programs)
     with lock.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)  # released as the file is closed
-        program.write_plans(part)
+        planner.write_plans(part)
 
 
 def _plan_on_host(part: SetToPlan, workers: int | None) -> None:
@@ -212,17 +229,20 @@ def _plan_on_host(part: SetToPlan, workers: int | None) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlannerProgram:
+class LoadedPlanner:
     """Compiled planner of a set, and the problems of the set."""
 
     simulator: Simulator
     worlds: World
     problems: Problem
-    plan_batch: Callable[[Problem], Plan]
+    plan_batch: PlanBatch
+    is_new: bool
+    """Whether the planner was not called yet."""
 
     def write_plans(self, part: SetToPlan) -> None:
         """Plan all problems of the set at once, timed; each took its part of the time."""
-        jax.block_until_ready(self.plan_batch(self.problems))  # the first call loads the program
+        if self.is_new:  # the first call loads the program
+            jax.block_until_ready(self.plan_batch(self.problems))
         begin = time.perf_counter()
         planned = jax.block_until_ready(self.plan_batch(self.problems))
         count = part.scenario.worlds
@@ -246,13 +266,30 @@ class PlannerProgram:
         self.simulator.close()
 
 
-def _compile_planner(part: SetToPlan) -> PlannerProgram:
-    """Sample the problems of a set, and compile its planner."""
+def _compile_planner(part: SetToPlan, programs: dict[Hashable, PlanBatch]) -> LoadedPlanner:
+    """Sample the problems of a set, and compile its planner unless there is one for such problems.
+
+    Args:
+        part: the set.
+        programs: compiled planners by all that is traced into them; a new one is added.
+    """
     scenario = part.scenario
-    simulator = Simulator(scenario, devices=1)
-    worlds, problems = simulator.sample_problems(0)
-    information = scenario.planner.information.to_information()
     spec = scenario.planner.planner_spec()
-    planner = build_device_planner(spec, problem_settings(scenario, information))
-    program = CompiledFunction(planner.plan_batch).lower(problems).compile()
-    return PlannerProgram(simulator=simulator, worlds=worlds, problems=problems, plan_batch=program)
+    shape = path_shape(spec, scenario.planner.points, scenario.joint_names())
+    # Given the shape of paths, it samples worlds without the planner.
+    simulator = Simulator(scenario, devices=1, paths=shape)
+    worlds, problems = simulator.sample_problems(0)
+    leaves, structure = jax.tree.flatten(problems)
+    traced = (structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves))
+    is_new = traced not in programs
+    if is_new:
+        settings = problem_settings(scenario, scenario.planner.information.to_information())
+        planner = build_device_planner(spec, settings)
+        programs[traced] = CompiledFunction(planner.plan_batch).lower(problems).compile()
+    return LoadedPlanner(
+        simulator=simulator,
+        worlds=worlds,
+        problems=problems,
+        plan_batch=programs[traced],
+        is_new=is_new,
+    )

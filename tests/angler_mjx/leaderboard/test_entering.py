@@ -8,8 +8,10 @@ import pytest
 import zarr
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.leaderboard import entering, problem_sets, submission
+from angler_mjx.leaderboard import checking, entering, problem_files, problem_sets, submission
+from angler_mjx.planning.device_planner import build_device_planner
 from angler_mjx.progress import Progress
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.studies.speed.measured import graph_search
 
 
@@ -63,10 +65,42 @@ def test_a_planner_is_timed_while_others_wait(tmp_path, monkeypatch):
         written.append(part)
 
     program = SimpleNamespace(write_plans=write_plans)
-    monkeypatch.setattr(entering, "_compile_planner", lambda part: program)
+    monkeypatch.setattr(entering, "_compile_planner", lambda part, programs: program)
     for part in ("first", "second"):
-        entering._plan_timed_alone(part, lock)
+        entering._plan_timed_alone(part, {}, lock)
     assert written == ["first", "second"]
+
+
+def test_sets_of_problems_of_one_shape_share_a_compiled_planner(tmp_path, monkeypatch, manifest):
+    built = []
+
+    def build(spec, settings):
+        built.append(settings.information.obstacles)
+        return build_device_planner(spec, settings)
+
+    monkeypatch.setattr(entering, "build_device_planner", build)
+    entering.plan_submission(
+        tmp_path,
+        {"name": "grid"},
+        Progress(),
+        manifest=manifest,
+        name="grid",
+        sets=("open-still-known-01", "dense-still-known-01", "open-moving-known-01"),
+    )
+    # Rock is an input of the program; whether obstacles move is a setting.
+    assert len(built) == 2
+    benchmark = problem_sets.load_benchmark()
+    alike = ("open-still-known-01", "dense-still-known-01")
+    for entry in problem_sets.select_problem_sets(benchmark, alike):
+        made = zarr.open_group(tmp_path / "plans" / f"{entry.name}.zarr", mode="r")
+        attempt = manifest.find(entry.name).attempt
+        scenario = problem_files.build_set_scenario(benchmark, entry, attempt, problem_sets.PUBLIC)
+        planned = checking.build_planned_scenario(scenario, {"name": "grid"}, "test")
+        path = Simulator(planned, devices=1).worlds(0).path
+        count = entry.problems
+        assert np.all(path.found[:count])
+        for key, flown in (("time_s", path.time_s), ("position_m", path.position_m)):
+            np.testing.assert_allclose(made[key][:], flown[:count], rtol=1e-5, atol=1e-5)
 
 
 def test_processes_side_by_side_plan_the_same(tmp_path, manifest):
