@@ -76,9 +76,9 @@ H200 2 ms to begin: as long as 70 control steps of 1,024 worlds of 8 robots."""
 
 UNTRACED_KEYS = {"name", "description", "worlds", "seed", "tile"}
 """Keys of a scenario that no program depends on; the tile is a separate input."""
-UNTRACED_PLANNER_KEYS = {"name", "requested", "settings"}
+UNTRACED_PLANNER_KEYS = {"name", "requested", "settings", "information"}
 """Keys of a planner that no program depends on where it plans on the host, or where paths are
-inputs."""
+inputs; programs that build problems are kept by their information."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -176,6 +176,18 @@ def test_planners_of_the_host_share_the_programs_that_draw_their_problems(small,
     assert _programs(first) is not _programs(small)
 
 
+def test_worlds_of_given_paths_are_sampled_by_the_same_program_at_each_information_level(small):
+    edits = {"planner.information.obstacles": "predicted"}
+    known, predicted = (
+        Simulator(one, paths=WITHOUT_PATHS) for one in (small, _edited(small, edits))
+    )
+    assert known.programs is predicted.programs
+    levels = [
+        simulator.sample_problems()[1].information.obstacles for simulator in (known, predicted)
+    ]
+    assert levels == ["nothing", "predicted"]
+
+
 PLANNERS = {"planner.name": "priority", "planner.margin_m": 0.2, "planner.deadline_s": 3.0}
 ROCK = {"world.rule": {"type": "walls", "count": 1, "gate_cells": 3}}
 
