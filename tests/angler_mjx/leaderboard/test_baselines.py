@@ -77,7 +77,14 @@ def test_stored_results_are_of_the_frozen_problems_and_as_the_page_says(manifest
         solved = [row for row in table["scores"] if row["solved"]]
         assert all(row["arrived"] == row["robots"] for row in solved)
         planner = name.removesuffix(".json")
-        assert f"`{planner}` ({len(solved)} of {len(problems)} problems solved)" in page
+        rates = " | ".join(solved_percent(table, robots) for robots in (1, 2, 4, 8, 16, 32, 64))
+        assert f"| `{planner}` | {len(solved)} of {len(problems)} | {rates} |" in page
+
+
+def solved_percent(table, robots):
+    """Return the solved problems of teams of one size in percent; a dash if there are none."""
+    solved = [row["solved"] for row in table["scores"] if row["robots"] == robots]
+    return f"{100 * sum(solved) / len(solved):.0f}" if solved else "&ndash;"
 
 
 def part(name, *sets, **more):

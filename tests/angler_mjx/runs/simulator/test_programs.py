@@ -178,12 +178,12 @@ def test_planners_of_the_host_share_the_programs_that_draw_their_problems(small,
 
 def test_worlds_of_given_paths_are_sampled_by_the_same_program_at_each_information_level(small):
     edits = {"planner.information.obstacles": "predicted"}
-    known, predicted = (
+    unaware, predicted = (
         Simulator(one, paths=WITHOUT_PATHS) for one in (small, _edited(small, edits))
     )
-    assert known.programs is predicted.programs
+    assert unaware.programs is predicted.programs
     levels = [
-        simulator.sample_problems()[1].information.obstacles for simulator in (known, predicted)
+        simulator.sample_problems()[1].information.obstacles for simulator in (unaware, predicted)
     ]
     assert levels == ["nothing", "predicted"]
 
