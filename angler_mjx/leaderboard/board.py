@@ -328,7 +328,7 @@ def _format_details(entry: BoardEntry) -> str:
         escape(f"{_format_physics(table)} on {table['judged_on']}"),
         escape(reasons or "none"),
     ]
-    authors = escape(", ".join(card.get("authors", [])))
+    authors = "baseline" if entry.is_baseline else escape(", ".join(card.get("authors", [])))
     return (
         f'<tr><td><a href="{entry.source}" title="{escape(card.get("description", ""))}">'
         f"{escape(card['name'])}</a><br><small>{authors}</small></td>"

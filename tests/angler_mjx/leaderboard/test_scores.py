@@ -214,6 +214,8 @@ def test_a_result_with_the_name_of_a_baseline_stands_beside_it(tmp_path):
     page = board.build_board([path], tmp_path / "board", baselines=True).read_text()
     assert page.count("<td>grid</td>") == 1
     assert page.count("<td>grid<br><small>baseline</small></td>") == 1
+    assert page.count(">grid</a><br><small>A. &lt;Author&gt;</small>") == 1
+    assert page.count(">grid</a><br><small>baseline</small>") == 1
     kept = [json.loads(p.read_text()) for p in sorted((tmp_path / "board" / "results").iterdir())]
     assert kept[0]["entered"] == sorted({row["set"] for row in ROWS})
     assert json.loads(stored.read_text()) in kept[1:]
