@@ -86,16 +86,15 @@ def build_board(results: Sequence[Path], out: Path, *, baselines: bool) -> Path:
     Raises:
         ConfigError: a result cannot be read, two have one name, or the folder is something else.
     """
-    paths = list(results)
-    if baselines:
-        paths += sorted(baselines_folder().glob("*.json"))
+    stored = sorted(baselines_folder().glob("*.json")) if baselines else []
+    paths = [*results, *stored]
     if not paths:
         raise ConfigError(
             "angler leaderboard build: no results; name folders of angler leaderboard check"
         )
-    tables = [checking.read_result(path) for path in paths]
+    tables, stored_tables = ([checking.read_result(path) for path in p] for p in (results, stored))
     names: dict[str, Path] = {}
-    for table, path in zip(tables[: len(results)], results, strict=True):
+    for table, path in zip(tables, results, strict=True):
         name = f"{table['card']['name']} ({'hidden' if table['hidden'] else 'public'})"
         if name in names:
             raise ConfigError(
@@ -110,7 +109,7 @@ def build_board(results: Sequence[Path], out: Path, *, baselines: bool) -> Path:
     for number, path in enumerate(paths):
         source = path / checking.RESULT if path.is_dir() else path
         shutil.copyfile(source, out / RESULTS / f"{number:03d}.json")
-    write_text(out / PAGE, format_board(tables[: len(results)], tables[len(results) :]))
+    write_text(out / PAGE, format_board(tables, stored_tables))
     return out / PAGE
 
 
@@ -120,7 +119,7 @@ def baselines_folder() -> Path:
 
 
 def format_board(
-    results: Sequence[Mapping[str, Any]], baselines: Sequence[Mapping[str, Any]] = ()
+    results: Sequence[Mapping[str, Any]], baselines: Sequence[Mapping[str, Any]]
 ) -> str:
     """Return the page of results and baselines, whose copies stand in this order in `RESULTS`."""
     benchmark = problem_sets.load_benchmark()

@@ -271,7 +271,7 @@ def _compile_planner(part: SetToPlan, programs: dict[Hashable, PlanBatch]) -> Lo
 
     Args:
         part: the set.
-        programs: compiled planners by all that is traced into them; a new one is added.
+        programs: compiled planners by settings and shapes of their problems; a new one is added.
     """
     scenario = part.scenario
     spec = scenario.planner.planner_spec()

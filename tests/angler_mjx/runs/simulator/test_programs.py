@@ -188,6 +188,17 @@ def test_worlds_of_given_paths_are_sampled_by_the_same_program_at_each_informati
     assert levels == ["nothing", "predicted"]
 
 
+def test_a_policy_that_takes_the_information_level_of_the_planner_has_its_own_programs(small):
+    made = []
+    for level in ("observed", "predicted"):
+        edits = {"policy": {"name": "mppi"}, "planner.information": {"obstacles": level}}
+        simulator = Simulator(_edited(small, edits), paths=WITHOUT_PATHS)
+        assert simulator.policy.information.obstacles == level
+        made.append(simulator.programs)
+    assert made[0] is not made[1]
+    assert made[0].flight is not made[1].flight
+
+
 PLANNERS = {"planner.name": "priority", "planner.margin_m": 0.2, "planner.deadline_s": 3.0}
 ROCK = {"world.rule": {"type": "walls", "count": 1, "gate_cells": 3}}
 
