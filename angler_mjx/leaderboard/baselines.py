@@ -8,7 +8,7 @@ set, flights run by run. A baseline's judged parts are merged into one result, w
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -229,7 +229,7 @@ def _store_result(baseline: Baseline, out: Path, store: Path) -> Path:
 
 
 def merge_results(parts: Sequence[Mapping[str, Any]], name: str) -> dict[str, Any]:
-    """Return one result of the results of parts of the sets.
+    """Return one result of the results of parts of the sets; it names the machines of all parts.
 
     Args:
         parts: results of different sets, by one planner.
@@ -250,11 +250,25 @@ def merge_results(parts: Sequence[Mapping[str, Any]], name: str) -> dict[str, An
         raise ConfigError(
             f"{name}: {repeated[0]} was judged in two parts; make it in another folder (--out)"
         )
-    factors = [part["planned_on"]["factor"] for part in parts]
+    planned = [part["planned_on"] for part in parts]
+    entered = [name for part in parts for name in part["entered"]]
     return {
         **first,
-        "card": {**first["card"], "sets": [name for part in parts for name in part["entered"]]},
-        "entered": [name for part in parts for name in part["entered"]],
-        "planned_on": {**first["planned_on"], "factor": max(factors)},
+        "card": {
+            **first["card"],
+            "machine": _join_distinct(part["card"]["machine"] for part in parts),
+            "sets": entered,
+        },
+        "entered": entered,
+        "judged_on": _join_distinct(part["judged_on"] for part in parts),
+        "planned_on": {
+            "machine": _join_distinct(part["machine"] for part in planned),
+            "factor": max(part["factor"] for part in planned),
+        },
         "scores": [score for part in parts for score in part["scores"]],
     }
+
+
+def _join_distinct(names: Iterable[str]) -> str:
+    """Return names that are not empty, each once, in their order."""
+    return "; ".join(dict.fromkeys(name for name in names if name))

@@ -97,12 +97,23 @@ def test_parts_are_merged_in_their_order():
     parts = [
         part("a", "open-still-known-01", "reef-still-known-01"),
         part("a", "open-still-known-02", planned_on={"machine": "A Core", "factor": 1.2}),
+        part("a", "open-still-known-04", planned_on={"machine": "A Card", "factor": 1.0}),
     ]
+    parts[2]["card"] = {**parts[2]["card"], "machine": "A Card"}
+    parts[1]["judged_on"] = "A Card"
     merged = baselines.merge_results(parts, "a")
-    every = ["open-still-known-01", "reef-still-known-01", "open-still-known-02"]
+    every = [
+        "open-still-known-01",
+        "reef-still-known-01",
+        "open-still-known-02",
+        "open-still-known-04",
+    ]
     assert merged["entered"] == merged["card"]["sets"] == every
     assert [score["set"] for score in merged["scores"]] == every
-    assert merged["planned_on"]["factor"] == 1.2
+    # Board and card name every machine once.
+    assert merged["planned_on"] == {"machine": "A Core; A Card", "factor": 1.2}
+    assert merged["judged_on"] == f"{parts[0]['judged_on']}; A Card"
+    assert merged["card"]["machine"] == "A Card"
 
 
 def test_parts_of_different_physics_are_not_merged():
