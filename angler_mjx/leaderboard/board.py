@@ -330,9 +330,16 @@ def _format_details(entry: BoardEntry) -> str:
     authors = "baseline" if entry.is_baseline else escape(", ".join(card.get("authors", [])))
     return (
         f'<tr><td><a href="{entry.source}" title="{escape(card.get("description", ""))}">'
-        f"{escape(card['name'])}</a><br><small>{authors}</small></td>"
+        f"{escape(card['name'])}</a><br><small>{authors}{_format_url(card)}</small></td>"
         f"<td>{100 * tier.arrived:.0f}</td>"
         + "".join(f"<td>{cell}</td>" for cell in cells)
         + "".join(f'<td class="text">{text}</td>' for text in texts)
         + "</tr>"
     )
+
+
+def _format_url(card: Mapping[str, Any]) -> str:
+    """Return a link to the page that a card names; empty where it names none on the web."""
+    url = str(card.get("url", ""))
+    is_of_web = url.startswith(("https://", "http://"))
+    return f' <a href="{escape(url)}">page</a>' if is_of_web else ""

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import zarr
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from angler_mjx.errors import AnglerError, ConfigError, format_value
 from angler_mjx.files import FileModel, parse_model, read_toml
@@ -24,6 +24,7 @@ from angler_mjx.leaderboard.problem_sets import FrozenBenchmark, ProblemSet
 from angler_mjx.runs.storage.plans.read import SCHEMA, SCHEMA_VERSION
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.user_classes import is_class_of_file
 
 CARD, PLANS = "card.toml", "plans"
 MAX_FILE_POINTS = 1024
@@ -56,6 +57,18 @@ class InFlightConfig(FileModel):
     execution: dict[str, Any] = Field(default_factory=dict)
     """Keys of a scenario's ``execution``."""
 
+    @field_validator("planner", "policy")
+    @classmethod
+    def _refuse_code(cls, table: dict[str, Any]) -> dict[str, Any]:
+        """Refuse classes of files: they would run in the judge's process, outside the sandbox."""
+        name = str(table.get("name", ""))
+        if is_class_of_file(name):
+            raise ValueError(
+                f"name = {format_value(name)}: is a class of a file; in flight only planners and "
+                "policies of the package fly: submit plans, or a program"
+            )
+        return table
+
 
 class Card(FileModel):
     """The card of a submission."""
@@ -67,7 +80,8 @@ class Card(FileModel):
     """Name on the board."""
     authors: Annotated[tuple[Text, ...], Field(max_length=100)] = ()
     description: Annotated[str, Field(max_length=2000)] = ""
-    url: Annotated[str, Field(max_length=500)] = ""
+    url: Annotated[str, Field(max_length=500, pattern=r"^(https?://\S+)?$")] = ""
+    """Page of the submission, which the board links."""
     kind: Literal["plans", "program", "in_flight"] = "plans"
     machine: Annotated[str, Field(max_length=500)] = ""
     """Machine of the planning times."""

@@ -207,6 +207,18 @@ def test_the_board_states_physics_machine_factor_and_time_limits(tmp_path):
     assert ">1<br><small>1&ndash;1</small>" in page
 
 
+def test_the_board_links_pages_of_submissions_on_the_web_alone(tmp_path):
+    urls = ["https://a.example/?x=1&y=2", "javascript:alert(1)", ""]
+    paths = []
+    for name, url in zip("abc", urls, strict=True):
+        card = {**result(name)["card"], "url": url}
+        paths.append(write(tmp_path, name, card=card))
+    page = board.build_board(paths, tmp_path / "board", baselines=False).read_text()
+    assert '<a href="https://a.example/?x=1&amp;y=2">page</a>' in page
+    assert page.count(">page</a>") == 1
+    assert "javascript:" not in page
+
+
 def test_a_result_with_the_name_of_a_baseline_stands_beside_it(tmp_path):
     # What a stranger gets who plans with a planner of the package, as the benchmark's page shows.
     (stored,) = board.baselines_folder().glob("grid.json")

@@ -161,6 +161,7 @@ def test_a_planning_time_that_cannot_be_fails_its_problem(read, seconds):
         (('kind = "plans"', 'kind = "program"'), r"the table \[program\] must be there"),
         (('kind = "plans"', 'kind = "magic"'), "kind"),
         (("machine", "machin"), "machin"),
+        (('kind = "plans"', 'kind = "plans"\nurl = "javascript:alert(1)"'), "url"),
         (('["open-still', '["opn-still'), "card.toml: sets: "),
     ],
 )
@@ -173,6 +174,19 @@ def test_a_card_that_cannot_be_understood_is_refused(tmp_path, benchmark, change
 def test_a_folder_without_a_card_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"card\.toml is missing"):
         submission.read_card(tmp_path)
+
+
+@pytest.mark.parametrize("part", ["planner", "policy"])
+def test_no_code_of_a_card_runs_in_the_judges_process(tmp_path, part):
+    code = tmp_path / "code.py"
+    code.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n\nclass Planner:\n    pass\n")
+    (tmp_path / "card.toml").write_text(
+        'schema_version = 1\nbenchmark = "ANGLER-1 1.0"\nname = "a"\nkind = "in_flight"\n'
+        f'[in_flight]\n{part} = {{ name = "{code}:Planner" }}\n'
+    )
+    with pytest.raises(ConfigError, match=rf"in_flight\.{part}: name = .*is a class of a file"):
+        submission.read_card(tmp_path)
+    assert not (tmp_path / "ran").exists()
 
 
 def test_a_card_with_a_table_of_another_kind_is_refused(tmp_path):
