@@ -8,6 +8,9 @@ from types import ModuleType
 
 from angler_mjx.errors import ConfigError, describe_error, format_value
 
+USER_MODULE = "angler_mjx_user_"
+"""Beginning of the names of modules of users' files."""
+
 
 def is_class_of_file(name: str) -> bool:
     """Return whether a name is FILE.py:CLASS."""
@@ -56,7 +59,7 @@ def load_module(path: str, text: bytes) -> ModuleType:
         ConfigError: the text cannot be run.
     """
     file = Path(path)
-    name = f"angler_mjx_user_{file.stem}_{hashlib.sha256(path.encode() + text).hexdigest()[:16]}"
+    name = f"{USER_MODULE}{file.stem}_{hashlib.sha256(path.encode() + text).hexdigest()[:16]}"
     if str(file.parent) not in sys.path:
         sys.path.append(str(file.parent))
     module = ModuleType(name)

@@ -28,7 +28,7 @@ def fly(
     replan_hz: float | None = None,
     information: str | None = None,
     order: Literal["auto", "free", "kept"] | None = None,
-    policy: Literal["none", "mppi", "routes"] | None = None,
+    policy: str | None = None,
     session: Literal["sim", "sitl"] = "sim",
     out: Path | None = None,
     world: int = 0,
@@ -50,7 +50,8 @@ def fly(
             scenario's if left out.
         order: Order of passing: free, kept (robots wait for those that pass a place before them by
             the plans), or auto.
-        policy: Policy that commands the robots instead of their plans; the scenario's if left out.
+        policy: Policy that commands the robots instead of their plans: none, mppi, routes, reach,
+            or FILE.py:CLASS; the scenario's if left out.
         session: Vehicles: simulated, or real autopilots.
         out: Run folder to make, for figures, replays and exports.
         world: Index of the world.

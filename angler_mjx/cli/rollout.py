@@ -42,7 +42,7 @@ def rollout(
     replan_hz: float | None = None,
     information: str | None = None,
     order: Literal["auto", "free", "kept"] | None = None,
-    policy: Literal["none", "mppi", "routes"] | None = None,
+    policy: str | None = None,
     workers: int | None = None,
     plans: Path | None = None,
     figures: bool = True,
@@ -79,8 +79,9 @@ def rollout(
             scenario's if left out.
         order: Order of passing: free, kept (robots wait for those that pass a place before them by
             the plans), or auto.
-        policy: Policy that commands the robots instead of their plans; the scenario's if left out.
-            Its settings stand in the scenario's [policy.NAME].
+        policy: Policy that commands the robots instead of their plans: none, mppi, routes, reach,
+            or FILE.py:CLASS; the scenario's if left out. Its settings stand in the scenario's
+            [policy.NAME] or [policy.CLASS].
         workers: Number of planning processes, for planners on the host; one for each processor if
             left out. Changes no byte of the results.
         plans: File of plans to fly (of angler plan or another program), instead of a planner's.

@@ -48,7 +48,7 @@ def missing_information_notice(scenario: Scenario) -> str | None:
     replan_hz, policy = scenario.planner.replan_hz, scenario.policy
     if policy.name != "none":
         information = policy.information or scenario.planner.information
-        subject = f"policy {policy.name} flies blind"
+        subject = f"policy {policy.title} flies blind"
     elif replan_hz > 0.0:
         information, subject = (
             scenario.planner.information,

@@ -19,6 +19,7 @@ PATH_KEYS: Mapping[tuple[str, ...], Callable[..., str]] = {
     ("fleet", "*", "vehicle"): _absolute_vehicle,
     ("controller", "stages", "*"): make_name_absolute,
     ("planner", "name"): make_name_absolute,
+    ("policy", "name"): make_name_absolute,
     ("world", "currents", "*", "file"): _absolute_path,
     ("world", "bathymetry", "file"): _absolute_path,
 }

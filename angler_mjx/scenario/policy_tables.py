@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import ClassVar, Literal, Self
+from pathlib import Path
+from typing import Annotated, ClassVar, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from angler_mjx.errors import format_value
 from angler_mjx.files import FileModel
@@ -14,13 +15,18 @@ from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget
 from angler_mjx.robot.control.commands.whole_body import EndEffectorTarget
 from angler_mjx.robot.vehicles import library
 from angler_mjx.scenario.fleet_entry import FleetEntry
+from angler_mjx.scenario.policy_of_file import build_policy_of_file
 from angler_mjx.scenario.tables import (
     ControllerConfig,
     InformationConfig,
     PlannerConfig,
     TimeConfig,
     check_whole_ratio,
+    resolve_class,
 )
+from angler_mjx.sim.information import Information
+from angler_mjx.sim.policy import Policy
+from angler_mjx.user_classes import is_class_of_file
 
 MAX_STEPS = 1000
 """Max number of steps of a sample: 50 s at 50 ms."""
@@ -120,31 +126,112 @@ class ReachConfig(FileModel):
     """Distance of the base from its goal within which the end effector is brought there."""
 
 
+POLICIES = ("none", "mppi", "routes", "reach")
+"""Names of policies of the package; none: robots fly their plans."""
+
+
+def _check_policy_name(name: str) -> str:
+    if name not in POLICIES and not is_class_of_file(name):
+        raise ValueError(
+            f"no such policy; give {', '.join(POLICIES)}, or a class of a file, FILE.py:CLASS"
+        )
+    return name
+
+
+type PolicyName = Annotated[
+    str,
+    Field(max_length=4096),
+    AfterValidator(resolve_class),
+    AfterValidator(_check_policy_name),
+]
+"""Name of a policy; the path of FILE.py:CLASS is relative to the folder of the naming file."""
+
+
 class PolicyConfig(FileModel):
     """Policy that commands the robots instead of plans; see `docs/reference/policies.md`."""
 
     renamed_keys: ClassVar[Mapping[str, str]] = {"knows": "information"}
 
-    name: Literal["none", "mppi", "routes", "reach"] = "none"
+    name: PolicyName = "none"
     """none: robots fly their plans. mppi: each robot flies to its goal by path integral control,
     with or without a plan. routes: each robot flies along routes computed for every cell of the
     world, and avoids moving obstacles and other robots. reach: robots fly their plans, and bring
-    their end effectors to the goals when they are near."""
+    their end effectors to the goals when they are near. FILE.py:CLASS: a policy of a file of
+    yours."""
     information: InformationConfig | None = None
-    """Information level on moving obstacles, whenever the policy acts. If left out:
-    `planner.information` where the file gives that, else obstacles = "observed". Set explicitly to
-    "nothing", the policy receives no obstacle, and commands print a notice."""
+    """Information level on moving obstacles, whenever the policy acts. If left out: that of the
+    class of FILE.py:CLASS; else `planner.information` where the file gives that, else
+    obstacles = "observed". Set explicitly to "nothing", the policy receives no obstacle, and
+    commands print a notice."""
     mppi: MppiConfig = MppiConfig()
     routes: RoutesConfig = RoutesConfig()
     reach: ReachConfig = ReachConfig()
+    settings: dict[str, dict[str, object]] = Field(default_factory=dict)
+    """The table [policy.CLASS] of FILE.py:CLASS: arguments of the class."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _collect_settings(cls, data: object) -> object:
+        """Collect the table of a class of a file, whose name is no field of this model.
+
+        It may stand where robots fly their plans (``--policy none``), as that of mppi may.
+        """
+        if not isinstance(data, Mapping):
+            return data
+        name = str(data.get("name", "none"))
+        if name != "none" and not is_class_of_file(name):
+            return data
+        field_keys = cls.model_fields.keys() | cls.renamed_keys.keys()
+        tables = {
+            key: table
+            for key, table in data.items()
+            if key not in field_keys and isinstance(table, Mapping)
+        }
+        if not tables:
+            return data
+        rest = {key: value for key, value in data.items() if key not in tables}
+        return {**rest, "settings": {**data.get("settings", {}), **tables}}
+
+    @model_validator(mode="after")
+    def _check_settings(self) -> Self:
+        unused = sorted(set(self.settings) - {self.title})
+        if unused and self.name != "none":
+            raise ValueError(
+                f"{unused[0]}: policy.name is {format_value(self.name)}, whose settings stand in "
+                f"[policy.{self.title}]"
+            )
+        return self
+
+    @property
+    def title(self) -> str:
+        """Return the name, of a class of a file without the file."""
+        return self.name.rpartition(":")[2]
+
+    @property
+    def file(self) -> Path | None:
+        """Return the file of a user's policy; None of the package's."""
+        is_of_file = is_class_of_file(self.name)
+        return Path(self.name.rpartition(":")[0]) if is_of_file else None
+
+    def build_of_file(self) -> Policy:
+        """Build the policy of a user's file.
+
+        Raises:
+            ConfigError: as `build_policy_of_file`.
+        """
+        information = None if self.information is None else self.information.to_information()
+        return build_policy_of_file(self.name, self.settings.get(self.title, {}), information)
 
 
 def default_information(policy: PolicyConfig, planner: PlannerConfig) -> InformationConfig:
-    """Return the information level of a policy whose own table gives none.
+    """Return the information level of a policy whose own table gives none, or of a user's file.
 
     A policy that steers in flight observes obstacles unless ``planner.information`` gives a level.
     Run folders of older versions store null: their level is kept.
     """
+    if policy.file is not None:
+        level = policy.build_of_file().information or Information()
+        return InformationConfig(obstacles=level.obstacles, current=level.current)
     if "information" in policy.model_fields_set:  # null, which a TOML file cannot hold
         observes_obstacles = policy.name == "routes" and planner.information == InformationConfig()
     else:
@@ -190,6 +277,9 @@ def check_policy(
     Raises:
         ValueError: naming the key and its value.
     """
+    if policy.file is not None:
+        policy.build_of_file()
+        return
     if policy.name == "reach":
         check_end_effectors(controller, fleet)
         return

@@ -187,7 +187,8 @@ class Scenario(FileModel):
     @model_validator(mode="after")
     def _set_policy_information(self) -> Self:
         """Set the information level of the policy, where the file gives none."""
-        if self.policy.name != "none" and self.policy.information is None:
+        is_unset = self.policy.information is None or self.policy.file is not None
+        if self.policy.name != "none" and is_unset:
             information = default_information(self.policy, self.planner)
             policy = self.policy.model_copy(update={"information": information})
             policy.model_fields_set.discard("information")
@@ -339,6 +340,11 @@ class Scenario(FileModel):
     def online(self) -> bool:
         """Return whether plans are updated in flight."""
         return self.execution.order == "kept" or self.planner.replan_hz > 0.0
+
+    @property
+    def has_user_code(self) -> bool:
+        """Return whether it names control laws or a policy of users' files."""
+        return bool(self.controller.files) or self.policy.file is not None
 
     @property
     def keeps_order_by_auto(self) -> bool:

@@ -105,11 +105,12 @@ def check_whole_ratio(description: str, dividend: float, divisor: float) -> None
         raise ValueError(f"{description} = {ratio:g} must be a whole number of at least 1")
 
 
-def _resolve_class(name: str, info: ValidationInfo) -> str:
+def resolve_class(name: str, info: ValidationInfo) -> str:
+    """Return FILE.py:CLASS with an absolute path, from the folder of the naming file."""
     return make_name_absolute(name, base_folder(info))
 
 
-type StageName = Annotated[str, Field(max_length=4096), AfterValidator(_resolve_class)]
+type StageName = Annotated[str, Field(max_length=4096), AfterValidator(resolve_class)]
 """Name of a stage; the path of FILE.py:CLASS is relative to the folder of the naming file."""
 
 
@@ -207,7 +208,7 @@ class InformationConfig(FileModel):
         return Information(obstacles=self.obstacles, current=self.current)
 
 
-type PlannerName = Annotated[str, Field(max_length=4096), AfterValidator(_resolve_class)]
+type PlannerName = Annotated[str, Field(max_length=4096), AfterValidator(resolve_class)]
 """Name of a planner; the path of FILE.py:CLASS is relative to the folder of the naming file."""
 
 

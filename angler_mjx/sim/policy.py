@@ -36,6 +36,7 @@ from angler_mjx.sim.information import (
     ObstacleInformation,
 )
 from angler_mjx.sim.record import Belief
+from angler_mjx.user_classes import USER_MODULE
 from angler_mjx.world.acoustics.channel import HeardRobots, init_heard
 from angler_mjx.world.rock.grid import Grid
 from angler_mjx.world.routes import Routes
@@ -320,8 +321,10 @@ def describe_policy(policy: Policy) -> dict[str, str]:
         digest.update(f"{values.dtype}{values.shape}".encode())
         digest.update(values.tobytes())
     kind = type(policy)
+    # A run keeps a copy of a user's file, whose module has another name.
+    is_of_file = kind.__module__.startswith(USER_MODULE)
     return {
-        "class": f"{kind.__module__}.{kind.__qualname__}",
+        "class": kind.__qualname__ if is_of_file else f"{kind.__module__}.{kind.__qualname__}",
         "structure": str(structure),
         "sha256": digest.hexdigest(),
     }

@@ -1,7 +1,8 @@
 """Command all robots in every control step by a policy: straight to the goal.
 
 The policy is traced into the compiled loop. Its numbers are arguments of the compiled programs, so
-other numbers cost no compilation.
+other numbers cost no compilation. On the command line:
+`angler rollout reef_fleet --policy docs/examples/policy.py:Straight`
 """
 
 from dataclasses import dataclass

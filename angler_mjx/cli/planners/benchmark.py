@@ -38,7 +38,7 @@ def benchmark(
         teams: Numbers of robots; the file's if left out.
         problems: Worlds of each preset, scene, team and seed; the file's if left out.
         planner: Planners to compare, in place of the file's: labels and names of its entries, names
-            of angler plan --list, FILE.py:CLASS, or policies (mppi).
+            of angler plan --list, FILE.py:CLASS of a planner or policy, or mppi.
         workers: Number of planning processes; one for each processor if left out.
         ray: Address of a Ray cluster whose processors plan (ray start --head prints it), such as
             127.0.0.1:6379.

@@ -54,6 +54,8 @@ def resolve_policy(scenario: Scenario, policy: Policy | None) -> Policy | None:
         )
     if scenario.online:
         return build_online_policy(scenario)
+    if scenario.policy.file is not None:
+        return scenario.policy.build_of_file()
     builders = {"routes": build_routes_policy, "reach": build_reach_policy, "mppi": build_mppi}
     return builders[scenario.policy.name](scenario)
 

@@ -135,7 +135,7 @@ class Simulator:
             paths=self.paths,
             planner=None if self._planners else self._planner_spec,
             policy=self._policy_numbers,
-            has_user_code=has_policy or self._traces_planner() or bool(scenario.controller.files),
+            has_user_code=has_policy or self._traces_planner() or scenario.has_user_code,
         )
         self._programs = programs.shared_programs(setup)
         numbers = setup.numbers()

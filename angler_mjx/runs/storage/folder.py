@@ -185,6 +185,8 @@ def write_start_files(
         extra_files: role and file of what is used beside the scenario's vehicles.
     """
     laws = [(input_copies.LAW, file) for file in scenario.controller.files]
+    if scenario.policy.file is not None:
+        laws.append((input_copies.POLICY, scenario.policy.file))
     files = [*input_copies.world_files(scenario.world), *laws, *(extra_files or [])]
     input_copies.copy_inputs(building, [entry.vehicle for entry in scenario.fleet], files)
     write_json(building / CONFIG, scenario.model_dump(mode="json"))

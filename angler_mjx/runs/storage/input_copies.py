@@ -27,8 +27,8 @@ from angler_mjx.world.config import WorldConfig
 
 INPUTS_FOLDER, INDEX_FILE = "inputs", "inputs.json"
 VEHICLE, THRUSTER, PLANNER, OCEAN = "vehicle", "thruster", "planner", "ocean"
-LAW = "law"
-"""Role of a file of control laws."""
+LAW, POLICY = "law", "policy"
+"""Roles of files of control laws and policies."""
 
 type Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
@@ -39,7 +39,7 @@ class Input(FileModel):
     """A file that a run used."""
 
     role: Annotated[str, Field(pattern="^[a-z_]+$")]
-    """vehicle, thruster, planner, law, ocean, plan, parameters."""
+    """vehicle, thruster, planner, law, policy, ocean, plan, parameters."""
     named: str
     """As the scenario, the vehicle file or the command line named it."""
     source: str
@@ -149,8 +149,8 @@ def stand_ins(run: Path) -> dict[tuple[str, str], str]:
     """Return the copies of vehicles, ocean models and classes that are missing or edited since.
 
     Returns:
-        Path of the copy by role and name in the scenario; of planners and control laws, by role and
-        resolved path of the file.
+        Path of the copy by role and name in the scenario; of planners, control laws and policies,
+        by role and resolved path of the file.
     """
     inputs, folder = read_inputs(run), (run / INPUTS_FOLDER).resolve()
     used = {(entry.role, entry.named): entry.sha256 for entry in inputs}
@@ -158,7 +158,7 @@ def stand_ins(run: Path) -> dict[tuple[str, str], str]:
     for entry in inputs:
         if entry.role == VEHICLE and _vehicle_state(entry, folder, used) != "same":
             copies[VEHICLE, entry.named] = str(folder / entry.copy_path)
-        elif entry.role in (OCEAN, PLANNER, LAW) and _is_edited(entry) is not False:
+        elif entry.role in (OCEAN, PLANNER, LAW, POLICY) and _is_edited(entry) is not False:
             name = entry.named if entry.role == OCEAN else str(Path(entry.source).resolve())
             copies[entry.role, name] = str(folder / entry.copy_path)
     return copies
@@ -181,6 +181,9 @@ def use_stand_ins(table: dict[str, Any], run: Path) -> None:
             part["file"] = copies.get((OCEAN, part["file"]), part["file"])
     if "name" in planner:
         planner["name"] = replace_class(PLANNER, planner["name"])
+    policy = table.get("policy", {})
+    if "name" in policy:
+        policy["name"] = replace_class(POLICY, policy["name"])
     controller = table.get("controller", {})
     if controller.get("stages"):
         controller["stages"] = [replace_class(LAW, name) for name in controller["stages"]]

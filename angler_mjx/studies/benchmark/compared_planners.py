@@ -10,11 +10,14 @@ from angler_mjx.files import parse_model
 from angler_mjx.planning import register
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.runs.simulator import scenario_policy
+from angler_mjx.runs.storage.checksums import hash_file
 from angler_mjx.scenario.editing import merge_tables, scenario_table
+from angler_mjx.scenario.policy_of_file import is_policy_class
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.tables import PlannerConfig
 from angler_mjx.sim.information import Information
 from angler_mjx.studies.benchmark.config import PlannerEntry
+from angler_mjx.user_classes import is_class_of_file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,12 +70,17 @@ class ComparedPlanner:
     @property
     def sha256(self) -> str | None:
         """Of the file that its class is in."""
-        return None if self.spec is None else self.spec.reference.sha256
+        if self.spec is not None:
+            return self.spec.reference.sha256
+        return None if self.file is None else hash_file(self.file)
 
     @property
     def file(self) -> Path | None:
         """That its class is in."""
-        return None if self.spec is None else self.spec.reference.file
+        if self.spec is not None:
+            return self.spec.reference.file
+        path, _, _ = self.name.rpartition(":")
+        return Path(path) if is_class_of_file(self.name) else None
 
     @property
     def flies_itself(self) -> bool:
@@ -104,6 +112,9 @@ def build_compared_planner(entry: PlannerEntry) -> ComparedPlanner:
             presets=entry.presets,
             teams=entry.teams,
         )
+    if is_class_of_file(entry.name) and is_policy_class(entry.name):
+        name = format_value(entry.name)
+        raise ConfigError(f"planner.name = {name}: is a policy; give policy = {name} instead")
     table = {entry.name.rpartition(":")[2]: entry.settings} if entry.settings else {}
     spec = PlannerConfig(name=entry.name, settings=table).planner_spec()
     if register.plans_arms(spec):

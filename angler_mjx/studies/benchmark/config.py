@@ -1,7 +1,7 @@
 """What a benchmark file says: planners, and the scenes whose problems all of them are asked."""
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal, Self, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -10,15 +10,11 @@ from angler_mjx.files import FileModel
 from angler_mjx.planning.planner import MAX_POINTS
 from angler_mjx.quantities import SchemaVersion
 from angler_mjx.scenario.editing import Changes
-from angler_mjx.scenario.policy_tables import PolicyConfig
+from angler_mjx.scenario.policy_tables import POLICIES, PolicyName
 from angler_mjx.scenario.tables import InformationConfig, PlannerName
 from angler_mjx.world import presets
 
 type Label = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f]+$")]
-
-
-POLICIES = get_args(PolicyConfig.model_fields["name"].annotation)
-"""As a scenario names them."""
 
 
 class PlannerEntry(FileModel):
@@ -28,13 +24,13 @@ class PlannerEntry(FileModel):
 
     name: PlannerName = ""
     """One that `angler plan --list` names, or FILE.py:CLASS, from the folder of this file."""
-    policy: str | None = None
-    """Instead of a planner: a policy by its name in a scenario, such as mppi, which flies without
-    plans."""
+    policy: PolicyName | None = None
+    """Instead of a planner: a policy by its name in a scenario, such as mppi, or FILE.py:CLASS,
+    which flies without plans."""
     label: Label | None = None
     """What tables and figures call it; its name, or its class, and how it is flown if left out."""
     settings: dict[str, Any] = Field(default_factory=dict)
-    """Its own, as in the scenario's table [planner.NAME], or [policy.NAME]."""
+    """Its own, as in the scenario's table [planner.NAME], [policy.NAME] or [policy.CLASS]."""
     information: InformationConfig | None = None
     """What it is told, whatever others are told: for planners that can make no use of more."""
     replan_hz: float = 0.0
@@ -87,7 +83,7 @@ class PlannerEntry(FileModel):
         """Its label."""
         if self.label:
             return self.label
-        name = self.policy or self.name.rpartition(":")[2]
+        name = (self.policy or self.name).rpartition(":")[2]
         parts = [
             name,
             f"{self.replan_hz:g} Hz" if self.replan_hz else "",

@@ -56,8 +56,11 @@ def _write_inputs(benchmark: Benchmark, source: Path, building: Path) -> None:
     """Write all inputs of a benchmark, and an empty database."""
     shutil.copyfile(source / SOURCE if source.is_dir() else source, building / SOURCE)
     vehicles = [entry.vehicle for s in benchmark.settings for entry in s.scenario.fleet]
-    files = [entry.file for entry in benchmark.planners]
-    planners = [(input_copies.PLANNER, file) for file in dict.fromkeys(files) if file is not None]
+    files = [
+        (input_copies.PLANNER if entry.policy is None else input_copies.POLICY, entry.file)
+        for entry in benchmark.planners
+    ]
+    planners = [(role, file) for role, file in dict.fromkeys(files) if file is not None]
     worlds = [input_copies.world_files(s.scenario.world) for s in benchmark.settings]
     seas = list(dict.fromkeys(entry for files in worlds for entry in files))
     input_copies.copy_inputs(building, vehicles, [*planners, *seas])
@@ -85,7 +88,7 @@ def read_folder(folder: Path) -> Benchmark:
     planners = {
         entry.named: str(inputs_folder / entry.copy_path)
         for entry in stored_inputs
-        if entry.role == input_copies.PLANNER
+        if entry.role in (input_copies.PLANNER, input_copies.POLICY)
     }
     copies = input_copies.stand_ins(folder)
     with wrap_read_errors(folder / RESOLVED):

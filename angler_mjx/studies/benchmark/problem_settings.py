@@ -14,20 +14,22 @@ from angler_mjx.runs.simulator.world_preparation import check_planner
 from angler_mjx.scenario.carry_table import CarryTask
 from angler_mjx.scenario.editing import merge_tables, remove_horizon, scenario_table
 from angler_mjx.scenario.horizon_check import check_reachable
+from angler_mjx.scenario.policy_of_file import is_policy_class
+from angler_mjx.scenario.policy_tables import POLICIES
 from angler_mjx.scenario.scenario import Scenario, load_relative_scenario
 from angler_mjx.scenario.tables import InformationConfig
 from angler_mjx.scenario.task_table import require_goal_task
 from angler_mjx.sim.information import Information
 from angler_mjx.studies.benchmark import compared_planners as compared
 from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
-from angler_mjx.studies.benchmark.config import POLICIES, BenchmarkConfig
+from angler_mjx.studies.benchmark.config import BenchmarkConfig
 from angler_mjx.studies.grid import (
     GridCell,
     build_changes_axis,
     find_reserved_key,
     iterate_cells,
 )
-from angler_mjx.user_classes import make_name_absolute
+from angler_mjx.user_classes import is_class_of_file, make_name_absolute
 
 RESERVED_KEYS = {
     "worlds": "problems",
@@ -183,13 +185,19 @@ def select_entries(entries: object, names: Sequence[str], folder: Path) -> list[
     )
     selected: list[object] = []
     for name in names:
-        made = {"policy" if name in POLICIES else "name": make_name_absolute(name, folder)}
+        path = make_name_absolute(name, folder)
+        made = {"policy" if _is_policy(path) else "name": path}
         selected += [
             entry
             for entry in listed
             if name in (entry.get("label"), entry.get("name"), entry.get("policy"))
         ] or [made]
     return selected
+
+
+def _is_policy(name: str) -> bool:
+    """Return whether a name is that of a policy, of the package or of a file."""
+    return name in POLICIES or (is_class_of_file(name) and is_policy_class(name))
 
 
 def build_benchmark(config: BenchmarkConfig, scenario: Scenario, source: str) -> Benchmark:
@@ -360,20 +368,24 @@ def rebuild_benchmark(
     Args:
         building: the folder, for messages.
         table: of `Benchmark.resolved`.
-        files: copies of planner files, by the paths that they had.
+        files: copies of files of planners and policies, by the paths that they had.
     """
     source = str(building)
     config = parse_model(BenchmarkConfig, table["benchmark"], source=source)
     scenario = parse_model(Scenario, table["scenario"], source=source)
     planners = tuple(
         entry.model_copy(
-            update={"name": _copied_planner_name(entry.name, files), "label": entry.title}
+            update={
+                "name": _copied_name(entry.name, files),
+                "policy": entry.policy and _copied_name(entry.policy, files),
+                "label": entry.title,
+            }
         )
         for entry in config.planner
     )
     return build_benchmark(config.model_copy(update={"planner": planners}), scenario, source)
 
 
-def _copied_planner_name(name: str, files: Mapping[str, str]) -> str:
+def _copied_name(name: str, files: Mapping[str, str]) -> str:
     path, colon, qualname = name.rpartition(":")
     return f"{files.get(path, path)}:{qualname}" if colon and path.endswith(".py") else name

@@ -68,7 +68,7 @@ def describe_control(run: Run) -> str:
     """Return the control of a run's robots, in words."""
     planner, policy = run.scenario.planner, run.scenario.policy
     if policy.name != "none":
-        return f"{policy.name}, all the way"
+        return f"{policy.title}, all the way"
     if planner.replan_hz:
         return f"{planner.name}, planned anew at {planner.replan_hz:g} Hz"
     return f"{planner.name}, planned before the start"

@@ -1,10 +1,12 @@
 """Planners that are flown online and policies in one benchmark, interrupted and made again."""
 
 import json
+from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 
+from angler_mjx.errors import ConfigError
 from angler_mjx.studies.benchmark import folder_comparison, problem_settings, running
 from angler_mjx.studies.benchmark.columns import NUMBER_COLUMNS
 from angler_mjx.studies.benchmark.report import reading
@@ -119,3 +121,30 @@ def test_online_and_policy_are_flown_once_and_alike_when_made_again(file):
         running.read_benchmark(out), out, twin, progress=Interrupting(None), **how
     )
     assert folder_comparison.compare_folders(out, twin).same
+
+
+def test_a_policy_of_a_file_is_compared_by_the_name_of_its_class(file):
+    straight = file.parent / "straight.py"
+    straight.write_text(Path("docs/examples/policy.py").read_text())
+    name = f"{straight}:Straight"
+    (entry,) = problem_settings.select_entries([], [name], file.parent)
+    assert entry == {"policy": name}
+    file.write_text(
+        'name = "own"\nscenario = "small.toml"\nproblems = 1\nset.engine = "fused"\n'
+        '[[planner]]\npolicy = "straight.py:Straight"\nsettings = { speed_mps = 0.3 }\n'
+    )
+    out = file.parent / "out"
+    running.run_benchmark(
+        running.read_benchmark(file), file, out, progress=Interrupting(None), workers=workers
+    )
+    (run,) = pq.read_table(out / "runs.parquet").to_pylist()
+    assert (run["planner"], run["plan_status"], run["flown"]) == ("Straight", "policy", True)
+    # The folder keeps the file: what is made again of it does not need the file's own.
+    straight.unlink()
+    (kept,) = running.read_benchmark(out).planners
+    assert kept.file.is_relative_to(out.resolve())
+    assert kept.label == "Straight"
+    file.write_text(file.read_text().replace("policy = ", "name = "))
+    straight.write_text(Path("docs/examples/policy.py").read_text())
+    with pytest.raises(ConfigError, match="is a policy; give policy = "):
+        problem_settings.read_benchmark(file)

@@ -80,7 +80,7 @@ def test_a_wrong_file_is_one_message_that_names_file_key_and_value(tmp_path, mor
             "delay_s = 1: there is no replanning",
         ),
         ('[[planner]]\nname = "grid"\norder = "keep"', r"planner\[1\].order = 'keep'"),
-        ('[[planner]]\npolicy = "mpi"', r"policy.name = 'mpi': .*'mppi'"),
+        ('[[planner]]\npolicy = "mpi"', r"policy = 'mpi': no such policy; give none, mppi"),
         ('[[planner]]\npolicy = "none"', r"policy = 'none': nobody flies by it"),
         ('[[planner]]\nname = "mppi"', r"name = 'mppi': is a policy; give policy = 'mppi'"),
         ('[[planner]]\nlabel = "x"', r"planner\[1\]: name is missing"),
