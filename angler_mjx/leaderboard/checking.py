@@ -33,14 +33,13 @@ from angler_mjx.runs.storage.parallel import cpu_count, map_in_order, open_proce
 from angler_mjx.runs.storage.read_errors import read_table
 from angler_mjx.scenario.editing import scenario_table
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.information import LEVELS
 from angler_mjx.studies.speed.measured import graph_search
 from angler_mjx.testing import referee
 
 RESULT, ANSWERS, PROBLEMS = "result.json", "answers", "problems"
 NO_PATH = "no path"
 """What is said of a robot without a path whose file says nothing more."""
-LEVELS = ("nothing", "observed", "predicted", "truth")
-"""Information levels, the least first."""
 ROBOTS_PER_PROCESS = 32
 """Judged flights that are worth a further process: it takes some seconds to start."""
 

@@ -3,17 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import get_args
 
 import jax
 
 from angler_mjx.errors import ConfigError, describe_error, format_value
-from angler_mjx.sim.information import Information, InformationLevel
+from angler_mjx.sim.information import LEVELS, Information
 from angler_mjx.sim.policy import Policy
 from angler_mjx.user_classes import load_class
-
-LEVELS: tuple[str, ...] = get_args(InformationLevel.__value__)
-"""Information levels, from the lowest to the highest."""
 
 
 def is_policy_class(name: str) -> bool:

@@ -176,7 +176,8 @@ class PolicyConfig(FileModel):
 
         It may stand where robots fly their plans (``--policy none``), as that of mppi may.
         """
-        if not isinstance(data, Mapping):
+        settings = data.get("settings", {}) if isinstance(data, Mapping) else None
+        if not isinstance(data, Mapping) or not isinstance(settings, Mapping):
             return data
         name = str(data.get("name", "none"))
         if name != "none" and not is_class_of_file(name):
@@ -190,7 +191,7 @@ class PolicyConfig(FileModel):
         if not tables:
             return data
         rest = {key: value for key, value in data.items() if key not in tables}
-        return {**rest, "settings": {**data.get("settings", {}), **tables}}
+        return {**rest, "settings": {**settings, **tables}}
 
     @model_validator(mode="after")
     def _check_settings(self) -> Self:

@@ -187,11 +187,12 @@ class Scenario(FileModel):
     @model_validator(mode="after")
     def _set_policy_information(self) -> Self:
         """Set the information level of the policy, where the file gives none."""
-        is_unset = self.policy.information is None or self.policy.file is not None
-        if self.policy.name != "none" and is_unset:
+        is_unset = self.policy.information is None
+        if self.policy.name != "none" and (is_unset or self.policy.file is not None):
             information = default_information(self.policy, self.planner)
             policy = self.policy.model_copy(update={"information": information})
-            policy.model_fields_set.discard("information")
+            if is_unset:
+                policy.model_fields_set.discard("information")
             self.__dict__["policy"] = policy
         return self
 

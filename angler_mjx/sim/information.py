@@ -9,7 +9,7 @@ start, that of a policy whenever it acts.
 
 import warnings
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +31,8 @@ from angler_mjx.world.obstacles import (
 
 type InformationLevel = Literal["nothing", "observed", "predicted", "truth"]
 """How much is known, the least first."""
+LEVELS: tuple[str, ...] = get_args(InformationLevel.__value__)
+"""Information levels, the least first."""
 
 STEP_S = 0.5
 """Time between the places of a moving obstacle that are told: 0.5 m at 1 m/s."""

@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, ClassVar, get_args
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -30,9 +30,9 @@ from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import Command, ControlParams, Stages
 from angler_mjx.robot.vehicles.params import joint_names
 from angler_mjx.sim.information import (
+    LEVELS,
     CurrentInformation,
     Information,
-    InformationLevel,
     ObstacleInformation,
 )
 from angler_mjx.sim.record import Belief
@@ -251,12 +251,11 @@ def check_information(policy: Policy) -> None:
         raise ConfigError(
             f"policy {name}: information = {information!r}; give an Information, or None"
         )
-    levels = get_args(InformationLevel.__value__)
     for subject in ("obstacles", "current"):
-        if getattr(information, subject) not in levels:
+        if getattr(information, subject) not in LEVELS:
             raise ConfigError(
                 f"policy {name}: information.{subject} = {getattr(information, subject)!r}; "
-                f"there is {', '.join(levels)}"
+                f"there is {', '.join(LEVELS)}"
             )
     period = policy.observation_period
     if not isinstance(period, int) or isinstance(period, bool) or period < 1:

@@ -1,7 +1,7 @@
 """Scenarios of a command line: a file, and flags that replace its keys."""
 
 from dataclasses import fields
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 from angler_mjx.errors import ConfigError, RunError, format_value
 from angler_mjx.files import format_path
@@ -53,21 +53,18 @@ def parse_information(text: str | None) -> dict[str, str] | None:
     """
     if text is None:
         return None
-    from angler_mjx.sim.information import Information, InformationLevel
+    from angler_mjx.sim.information import LEVELS, Information
 
-    levels, quantities = (
-        get_args(InformationLevel.__value__),
-        [item.name for item in fields(Information)],
-    )
+    quantities = [item.name for item in fields(Information)]
     table: dict[str, str] = {}
     for part in text.split(","):
         quantity, _, level = (text_part.strip() for text_part in part.partition("="))
-        if quantity not in quantities or level not in levels or quantity in table:
+        if quantity not in quantities or level not in LEVELS or quantity in table:
             raise ConfigError(
                 f"--information {format_value(part)}: give {' and '.join(quantities)} once each at "
                 "most, "
                 "as in "
-                f"obstacles=observed,current=predicted; levels are {', '.join(levels)}"
+                f"obstacles=observed,current=predicted; levels are {', '.join(LEVELS)}"
             )
         table[quantity] = level
     return table

@@ -161,7 +161,8 @@ def _build_expert_tables(table: Mapping[str, Any], expert: Expert) -> dict[str, 
     information = None if expert.information is None else expert.information.model_dump()
     tables = build_pilot_tables(expert, information)
     if expert.policy is not None:
-        return {"policy": merge_tables(table.get("policy", {}), tables["policy"])}
+        base = {**table.get("policy", {}), "settings": {}}  # those of the scenario's own class
+        return {"policy": merge_tables(base, tables["policy"])}
     common = {key: x for key, x in table.get("planner", {}).items() if key in _PLANNER_KEYS}
     return {**tables, "planner": {**common, **tables["planner"]}}
 

@@ -129,9 +129,12 @@ class Benchmark:
 
     def resolved(self) -> dict[str, object]:
         """All of it in plain values: the same table is the same benchmark."""
+        scenario = self.scenario.model_dump(mode="json", exclude_unset=True)
+        if self.scenario.policy.file is not None:  # no contestant flies by it
+            scenario["policy"] = {"name": "none"}
         return {
             "benchmark": self.config.model_dump(mode="json"),
-            "scenario": self.scenario.model_dump(mode="json", exclude_unset=True),
+            "scenario": scenario,
             "planners": [
                 {"label": planner.label, "sha256": planner.sha256} for planner in self.planners
             ],
@@ -311,7 +314,7 @@ def _build_base_table(config: BenchmarkConfig, scenario: Scenario, source: str) 
         "points": config.points or scenario.planner.points,
         "deadline_s": config.deadline_s,
     }
-    base["policy"] = {**base.get("policy", {}), "name": "none"}
+    base["policy"] = {**base.get("policy", {}), "name": "none", "settings": {}}
     # Contestants fly plans of their own, and auto goes by the planner that it chose.
     if scenario.execution.by_auto:
         base["execution"] = {"order": "free"}

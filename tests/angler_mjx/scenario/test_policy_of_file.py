@@ -6,7 +6,10 @@ import pytest
 import angler_mjx as angler
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError
+from angler_mjx.files import parse_model
+from angler_mjx.scenario.editing import scenario_table
 from angler_mjx.scenario.policy_of_file import build_policy_of_file
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.information import Information
 from angler_mjx.sim.policy import describe_policy
 from angler_mjx.user_classes import load_class
@@ -140,6 +143,9 @@ def test_the_information_level_is_that_of_the_class_or_of_the_table(file):
             "open_water_current", policy={"name": f"{file}:{name}", **table}
         )
         information = scenario.policy.information
+        # A table that is made of it, as benchmarks do, has the same level.
+        again = parse_model(Scenario, scenario_table(scenario), source="again")
+        assert again.policy.information == information
         assert scenario.policy.build_of_file().information in (
             None,
             information.to_information(),

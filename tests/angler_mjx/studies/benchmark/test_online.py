@@ -133,6 +133,11 @@ def test_a_policy_of_a_file_is_compared_by_the_name_of_its_class(file):
         'name = "own"\nscenario = "small.toml"\nproblems = 1\nset.engine = "fused"\n'
         '[[planner]]\npolicy = "straight.py:Straight"\nsettings = { speed_mps = 0.3 }\n'
     )
+    # The scenario may name one too, with settings that are not the contestants'.
+    with (file.parent / "small.toml").open("a") as scenario:
+        scenario.write(
+            '[policy]\nname = "straight.py:Straight"\n[policy.Straight]\nspeed_mps = 1\n'
+        )
     out = file.parent / "out"
     running.run_benchmark(
         running.read_benchmark(file), file, out, progress=Interrupting(None), workers=workers
