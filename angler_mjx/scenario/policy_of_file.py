@@ -56,7 +56,7 @@ def build_policy_of_file(
 def _limit(policy: Policy, information: Information, title: str) -> Policy:
     """Return a policy that gets no more than an information level."""
     asked = policy.information
-    if asked is None or asked == information:
+    if asked is None:
         return policy
     if is_dataclass(policy) and "information" in {field.name for field in fields(policy)}:
         return replace(policy, information=information)
