@@ -157,6 +157,9 @@ def test_the_information_level_is_that_of_the_class_or_of_the_table(file):
     truth = {"obstacles": "truth", "current": "observed"}
     assert level("Watching", information=truth) == ("truth", "observed")
     assert level("Fixed") == ("predicted", "nothing")
+    # What a class does not ask for it does not get, whatever the table allows.
+    assert level("Straight", information=truth) == ("nothing", "nothing")
+    assert level("Fixed", information=truth) == ("predicted", "nothing")
     # A class with a level of its own flies where no less is given.
     fixed = build_policy_of_file(f"{file}:Fixed", {}, Information(obstacles="truth"))
     assert fixed.information == Information(obstacles="predicted")
