@@ -91,7 +91,7 @@ def test_a_policy_of_a_file_flies_as_its_object_does(tmp_path, file):
     assert describe_policy(again) == describe_policy(built)
 
 
-def test_the_file_is_looked_for_beside_the_scenario(tmp_path, file, capsys):
+def test_the_file_is_looked_for_beside_the_scenario(tmp_path, file, capsys, monkeypatch):
     main(["scenarios", "show", "open_water_current"])
     path = tmp_path / "sub" / "mine.toml"
     path.parent.mkdir()
@@ -102,6 +102,10 @@ def test_the_file_is_looked_for_beside_the_scenario(tmp_path, file, capsys):
     assert scenario.policy.file is not None
     assert scenario.policy.file.resolve() == file
     assert scenario.has_user_code
+    # One that a caller names stands in the working directory.
+    monkeypatch.chdir(tmp_path)
+    named = angler.load_scenario(path, policy={"name": "mine.py:Straight"})
+    assert named.policy.name == f"{file}:Straight"
 
 
 def test_tables_of_a_class_stay_where_plans_are_flown(file):

@@ -1,5 +1,6 @@
 """Planners that are flown online and policies in one benchmark, interrupted and made again."""
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -138,10 +139,10 @@ def test_a_policy_of_a_file_is_compared_by_the_name_of_its_class(file):
         scenario.write(
             '[policy]\nname = "straight.py:Straight"\n[policy.Straight]\nspeed_mps = 1\n'
         )
-    out = file.parent / "out"
-    running.run_benchmark(
-        running.read_benchmark(file), file, out, progress=Interrupting(None), workers=workers
-    )
+    out, made = file.parent / "out", running.read_benchmark(file)
+    assert made.scenario.policy.settings
+    assert made.settings[0].scenario.policy.settings == {}
+    running.run_benchmark(made, file, out, progress=Interrupting(None), workers=workers)
     (run,) = pq.read_table(out / "runs.parquet").to_pylist()
     assert (run["planner"], run["plan_status"], run["flown"]) == ("Straight", "policy", True)
     # The folder keeps the file: what is made again of it does not need the file's own.
@@ -149,6 +150,7 @@ def test_a_policy_of_a_file_is_compared_by_the_name_of_its_class(file):
     (kept,) = running.read_benchmark(out).planners
     assert kept.file.is_relative_to(out.resolve())
     assert kept.label == "Straight"
+    assert kept.sha256 == hashlib.sha256(Path("docs/examples/policy.py").read_bytes()).hexdigest()
     file.write_text(file.read_text().replace("policy = ", "name = "))
     straight.write_text(Path("docs/examples/policy.py").read_text())
     with pytest.raises(ConfigError, match="is a policy; give policy = "):
