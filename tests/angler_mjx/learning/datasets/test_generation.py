@@ -11,6 +11,7 @@ import pytest
 from angler_mjx.cli import main
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets import generation, index, manifest, parts
+from angler_mjx.learning.datasets.config import Expert
 from angler_mjx.progress import Progress
 from angler_mjx.runs import multi_run, rollout
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -257,3 +258,9 @@ def test_manifests_are_not_believed(copy):
     pq.write_table(pa.table({"a": [1]}), copy / manifest.INDEX)
     with pytest.raises(ConfigError, match="holds the columns a"):
         index.read_index(copy)
+
+
+def test_an_expert_has_no_settings_of_the_policy_of_the_scenario():
+    own = {"name": "mine.py:Mine", "settings": {"Mine": {"speed_mps": 1.0}}}
+    tables = parts._build_expert_tables({"policy": own}, Expert(policy="mppi"))
+    assert tables["policy"] == {"name": "mppi", "settings": {}}
