@@ -278,8 +278,7 @@ def check_policy(
     Raises:
         ValueError: naming the key and its value.
     """
-    if policy.file is not None:
-        policy.build_of_file()
+    if policy.file is not None:  # built for its information level; the engine checks its command
         return
     if policy.name == "reach":
         check_end_effectors(controller, fleet)

@@ -110,7 +110,9 @@ def test_the_file_is_looked_for_beside_the_scenario(tmp_path, file, capsys, monk
 
 def test_tables_of_a_class_stay_where_plans_are_flown(file):
     table = {"name": "none", "Straight": {"speed_mps": 0.2}}
-    assert angler.load_scenario("open_water_current", policy=table).policy.file is None
+    policy = angler.load_scenario("open_water_current", policy=table).policy
+    assert policy.file is None
+    assert policy.settings == {"Straight": {"speed_mps": 0.2}}
 
 
 @pytest.mark.parametrize(
