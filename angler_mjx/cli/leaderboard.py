@@ -70,7 +70,7 @@ def plan(
     A repeated call goes on after an interruption.
 
     Args:
-        planner: Planner of angler plan --list, or FILE.py:CLASS.
+        planner: Planner of angler plan --list, with the settings of its baseline, or FILE.py:CLASS.
         out: Folder of the submission.
         name: Name on the board; the planner's if left out.
         sets: A set such as reef-still-known-04, or parts of names such as reef-04; all if left out.
@@ -85,6 +85,7 @@ def plan(
     count = _begin_processes(device, processes)
     from angler_mjx.cli.shared.inputs import require_positive
     from angler_mjx.cli.shared.progress import ProgressBar
+    from angler_mjx.leaderboard.baselines import planner_table
     from angler_mjx.leaderboard.entering import plan_submission
 
     planning = require_positive("workers", workers)
@@ -92,7 +93,7 @@ def plan(
     with ProgressBar() as bar:
         plan_submission(
             out,
-            {"name": planner},
+            planner_table(planner),
             bar,
             manifest=manifest,
             name=name or planner,

@@ -50,6 +50,8 @@ class Baseline:
 
     name: str
     """On the board, and of its folder."""
+    settings: Mapping[str, object] = field(default_factory=dict)
+    """Settings of the planner, the scenario's table ``[planner.NAME]``."""
     in_flight: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """The card's table ``[in_flight]``; empty for plans."""
     max_robots: int | None = None
@@ -57,11 +59,19 @@ class Baseline:
 
 
 BASELINES = (
-    *(Baseline(name=name) for name in ("priority", "grid", "current")),
+    Baseline(name="priority"),
+    Baseline(name="grid"),
+    Baseline(name="current", settings={"limit_ground_speed": True}),
     Baseline(name="mppi", in_flight={"policy": {"name": "mppi"}}),
     *(Baseline(name=name, max_robots=MAX_HOST_ROBOTS) for name in HOST_PLANNERS),
 )
 """All, in the order in which they are made."""
+
+
+def planner_table(name: str) -> dict[str, object]:
+    """Return the scenario's table ``[planner]`` of a planner, with the settings of its baseline."""
+    settings = {baseline.name: dict(baseline.settings) for baseline in BASELINES}.get(name)
+    return {"name": name, name: settings} if settings else {"name": name}
 
 
 def select_baselines(names: Sequence[str]) -> list[Baseline]:
@@ -155,7 +165,7 @@ def _find_refusal(
     attempt = manifest.find(entry.name).attempt
     scenario = problem_files.build_set_scenario(benchmark, entry, attempt, problem_sets.PUBLIC)
     try:
-        checking.build_planned_scenario(scenario, {"name": baseline.name}, "baselines")
+        checking.build_planned_scenario(scenario, planner_table(baseline.name), "baselines")
     except ConfigError as error:
         return str(error)
     return ""
@@ -180,7 +190,7 @@ def _make_part(
     else:
         entering.plan_submission(
             source,
-            {"name": baseline.name},
+            planner_table(baseline.name),
             progress,
             manifest=manifest,
             name=baseline.name,

@@ -21,7 +21,7 @@ from angler_mjx.files import FileModel, parse_model, read_toml
 from angler_mjx.leaderboard import problem_sets
 from angler_mjx.leaderboard.problem_files import SetRecord
 from angler_mjx.leaderboard.problem_sets import FrozenBenchmark, ProblemSet
-from angler_mjx.runs.storage.plans.read import SCHEMA, SCHEMA_VERSION
+from angler_mjx.runs.storage.plans.read import GROUND, SCHEMA, SCHEMA_VERSION, SPEED_LIMIT
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.user_classes import is_class_of_file
@@ -302,6 +302,7 @@ def write_plans(path: Path, scenario: Scenario, rows: PlanRows) -> None:
             "digest": scenario.digest(),
             "seed": scenario.seed,
             "scenario": scenario.name,
+            SPEED_LIMIT: GROUND,
         }
     )
     is_fault = np.array([bool(fault) for fault in rows.faults])

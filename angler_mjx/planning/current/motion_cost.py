@@ -44,6 +44,8 @@ class PowerModel:
     """[] worth of a second, W: with it the cruise speed is the one that costs least in still
     water."""
     objective: Objective = field(metadata={"static": True})
+    limits_ground_speed: bool = field(default=False, metadata={"static": True})
+    """Whether no speed over ground exceeds the cruise speed."""
 
 
 def power_model(
@@ -52,6 +54,7 @@ def power_model(
     power_w: jax.Array,
     max_speed_fraction: float,
     objective: Objective,
+    limits_ground_speed: bool = False,
 ) -> PowerModel:
     """Fit the power model of a robot to its powers.
 
@@ -62,6 +65,7 @@ def power_model(
         max_speed_fraction: of the terminal speeds that may be swum; the rest is left to the
             controllers.
         objective: of the path.
+        limits_ground_speed: whether no speed over ground exceeds the cruise speed.
     """
     steps = power_w.shape[-1] - 1
     rest_w = power_w[0, 0]
@@ -90,6 +94,7 @@ def power_model(
         exponent=exponent,
         time_weight_w=jnp.maximum((exponent[0] - 1.0) * cruise_power_w - rest_w, 0.0),
         objective=objective,
+        limits_ground_speed=limits_ground_speed,
     )
 
 
@@ -119,7 +124,7 @@ def cost_and_speed(
         square = cruise * cruise - across
         speed = along + jnp.sqrt(jnp.maximum(square, 1e-9))
         is_possible = (square > 0.0) & (speed > _MIN_SPEED_RATIO * cruise)
-        speed = jnp.maximum(speed, _MIN_SPEED_RATIO * cruise)
+        speed = _limit_ground_speed(robot, speed)
         return jnp.where(is_possible, cruise / speed, NO_PATH_COST), speed
     still_power_w = (
         robot.rest_w + robot.factor[0] * cruise ** robot.exponent[0] + robot.time_weight_w
@@ -132,7 +137,7 @@ def cost_and_speed(
     for ratio in _SPEED_RATIOS:
         square = (ratio * cruise) ** 2 - across
         speed = along + jnp.sqrt(jnp.maximum(square, 1e-9))
-        ground_speed = jnp.maximum(speed, _MIN_SPEED_RATIO * cruise)
+        ground_speed = _limit_ground_speed(robot, speed)
         water_velocity = [ground_speed * d - c for d, c in zip((x, y, z), stream, strict=True)]
         surge = water_velocity[0] * ahead[0] + water_velocity[1] * ahead[1]
         sway = water_velocity[1] * ahead[0] - water_velocity[0] * ahead[1]
@@ -150,6 +155,12 @@ def cost_and_speed(
             jnp.where(better, ground_speed, best_speed),
         )
     return best_cost, best_speed
+
+
+def _limit_ground_speed(robot: PowerModel, speed_mps: jax.Array) -> jax.Array:
+    """Return speeds over ground, at least the lowest, and at most the cruise speed if it limits."""
+    speed_mps = jnp.maximum(speed_mps, _MIN_SPEED_RATIO * robot.cruise_mps)
+    return jnp.minimum(speed_mps, robot.cruise_mps) if robot.limits_ground_speed else speed_mps
 
 
 def _body_power(robot: PowerModel, axes: tuple[jax.Array, ...]) -> jax.Array:

@@ -4,7 +4,8 @@ Each robot is planned alone first: least costs from all cells (`search`), a path
 shortened and bent to lower its cost (`shaping`). Then departures are scheduled (`timetable`): a
 robot whose path is blocked departs later. A robot that no departure suits is searched in space and
 time as by the planner priority, which ignores the current. Speeds through the water are those of
-least cost, so a robot may exceed its cruise speed over ground where the current carries it.
+least cost, so a robot may exceed its cruise speed over ground where the current carries it, unless
+``limit_ground_speed`` is set.
 """
 
 from dataclasses import dataclass
@@ -48,6 +49,8 @@ class CurrentSettings:
     """Fraction of the terminal speeds that paths may use; the rest is left to the controllers."""
     start_hold_s: float = 30.0
     """Latest departure [s] of a robot."""
+    limit_ground_speed: bool = False
+    """Whether the cruise speed limits the speed over ground as well, as ANGLER-1 asks for."""
     budget: int = 4
     """Searches of single robots per robot of the team, for robots that no departure suits; 0: they
     get no path."""
@@ -207,12 +210,13 @@ def _problem_terrain(problem: Problem) -> Terrain:
 
 def _power_models(team: Team, settings: CurrentSettings) -> PowerModel:
     """Return the power models [R] of a team."""
-    return jax.vmap(power_model, in_axes=(0, 0, 0, None, None))(
+    return jax.vmap(power_model, in_axes=(0, 0, 0, None, None, None))(
         team.cruise_speed_mps,
         team.terminal_speed_mps,
         team.power_w,
         settings.effort,
         settings.least,
+        settings.limit_ground_speed,
     )
 
 

@@ -26,6 +26,26 @@ def test_every_planner_for_teams_is_a_baseline():
     assert set(names) - {"mppi"} == installed - {"carry", "carry_ompl", "learned"}
 
 
+def test_planners_enter_with_the_settings_of_their_baseline(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        entering, "plan_submission", lambda out, table, *_, **__: asked.append(table)
+    )
+    for name in ("current", "grid", "mine.py:Mine"):
+        main(["leaderboard", "plan", "--planner", name, "--out", str(tmp_path)])
+    assert asked == [
+        {"name": "current", "current": {"limit_ground_speed": True}},
+        {"name": "grid"},
+        {"name": "mine.py:Mine"},
+    ]
+    benchmark, manifest = problem_sets.load_benchmark(), problem_files.public_manifest()
+    (ocean,) = problem_sets.select_problem_sets(benchmark, ("open-ocean-known-01",))
+    attempt = manifest.find(ocean.name).attempt
+    scenario = problem_files.build_set_scenario(benchmark, ocean, attempt, problem_sets.PUBLIC)
+    planned = checking.build_planned_scenario(scenario, asked[0], "baselines")
+    assert planned.planner.planner_spec().settings == {"limit_ground_speed": True}
+
+
 def test_an_unknown_baseline_is_refused():
     with pytest.raises(ConfigError, match="--only 'nobody': no such baseline; there is priority"):
         baselines.select_baselines(["nobody"])

@@ -5,7 +5,8 @@ import pytest
 import zarr
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.leaderboard import submission
+from angler_mjx.leaderboard import problem_sets, submission
+from angler_mjx.runs.storage.plans.read import open_plans
 
 from .submitting import straight_lines, write_card, write_plans
 
@@ -88,6 +89,14 @@ def test_a_file_that_cannot_be_used_fails_its_problems_with_the_reason(read, cha
     assert len(rows.faults) == 2
     assert all(reason in fault for fault in rows.faults)
     assert not rows.arrays["points"].any()
+
+
+def test_plans_are_flown_with_the_cruise_speed_as_limit_over_ground(
+    tmp_path, read, benchmark, sets
+):
+    scenario = problem_sets.build_scenario(benchmark, sets[NAME], 1)
+    submission.write_plans(tmp_path / "plans.zarr", scenario, read())
+    assert open_plans(tmp_path / "plans.zarr", scenario).limits_ground_speed
 
 
 def test_a_file_that_is_missing_or_no_file_fails_its_problems(tmp_path, sets, manifest):

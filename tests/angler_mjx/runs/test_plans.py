@@ -25,6 +25,7 @@ from angler_mjx.runs.storage.plans import problems
 from angler_mjx.runs.storage.plans import write as plan_writer
 from angler_mjx.runs.storage.plans.read import open_plans, summarise_plan_file
 from angler_mjx.sim.information import Information
+from angler_mjx.world.currents import UniformConfig
 
 DOCS = Path(__file__).parents[3] / "docs"
 TEN_LINES, _, SCRIPT = (
@@ -293,6 +294,41 @@ def test_a_path_that_cannot_be_flown_is_none_with_its_reason(asked, given, plann
         np.testing.assert_array_equal(
             found.position_m[0, 0], found.position_m[0, 0, :1].repeat(32, 0)
         )
+
+
+@pytest.fixture(scope="module")
+def carried(asked):
+    """A simulator of the worlds with a current, that is given its paths."""
+    world = asked.world.model_copy(update={"currents": (UniformConfig(velocity_mps=(0.2, 0, 0)),)})
+    return Simulator(asked.model_copy(update={"world": world}), paths=PathShape(points=32))
+
+
+@pytest.mark.parametrize(
+    ("attributes", "speed_ratio", "reason"),
+    [
+        ({}, 1.5, ""),
+        ({}, 100.0, "is faster than its cruise speed, or jumps"),
+        ({"speed_limit": "ground"}, 1.5, "is faster than its cruise speed, or jumps"),
+        ({"speed_limit": "ground"}, 1.0, ""),
+    ],
+)
+def test_a_path_may_be_faster_over_ground_where_water_moves(
+    carried, planned, tmp_path, attributes, speed_ratio, reason
+):
+    path = shutil.copytree(planned, tmp_path / "plans.zarr")
+    group = zarr.open_group(path, mode="r+")
+    group.attrs.update(digest=carried.scenario.digest(), **attributes)
+    group["time_s"][2, 0] = group["time_s"][2, 0] / speed_ratio
+    found, notes = open_plans(path, carried.scenario).of([2], carried.worlds(2), carried)
+    assert notes.reason[0, 0] == reason
+    assert found.found[0, 0] == (reason == "")
+
+
+def test_a_speed_limit_that_is_none_is_refused(asked, planned, tmp_path):
+    path = shutil.copytree(planned, tmp_path / "plans.zarr")
+    zarr.open_group(path, mode="r+").attrs["speed_limit"] = "water"
+    with pytest.raises(ConfigError, match="speed_limit is 'water'; must be \"ground\" or left out"):
+        open_plans(path, asked)
 
 
 def test_a_world_that_is_not_planned_yet_is_named(asked, given, planned, tmp_path):

@@ -16,6 +16,9 @@
     reason          int32 [world, robot]            optional: which of the attribute ``reasons``
     status          int32 [world]                   optional: which of the attribute ``statuses``
 
+The attribute ``speed_limit`` = "ground" makes paths none that exceed the cruise speed over ground
+in moving water too.
+
 World i of the arrays is world i of the seed. A number of points below 0 says that a world is not
 planned yet. ``docs/reference/plan_files.md`` has a writer of twenty lines.
 """
@@ -29,6 +32,7 @@ import zarr
 
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.planning.planner import MAX_POINTS, PathShape
+from angler_mjx.quantities import MAX_SPEED_MPS
 from angler_mjx.robot.control.commands.joint_trajectory import (
     CUBIC,
     LINEAR,
@@ -51,6 +55,8 @@ _ARRAYS = {"points": 2, "time_s": 3, "position_m": 4}
 START_TOLERANCE_M, SPEED_TOLERANCE, ROUNDING_TOLERANCE_M = 0.01, 0.01, 1e-4
 """How far from its start a path may begin; by what share it may be too fast, and how much farther
 two points may lie apart than that: float32."""
+SPEED_LIMIT, GROUND = "speed_limit", "ground"
+"""Attribute of a file whose paths may not exceed the cruise speed over ground in moving water."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,8 @@ class PlanFile:
     group: zarr.Group
     shape: PathShape
     """Of the paths as they are flown: those of the file, their last point repeated."""
+    limits_ground_speed: bool = False
+    """Whether the cruise speed limits the speed over ground in moving water too."""
 
     def of(self, firsts: list[int], worlds: World, simulator: Simulator) -> tuple[Plan, PlanNotes]:
         """Return the paths of some tiles of worlds; a path that cannot be flown is none.
@@ -98,7 +106,7 @@ class PlanFile:
             time,
             position_m,
             start,
-            np.asarray(worlds.cruise_speed_mps),
+            self._speed_limit_mps(worlds, simulator.scenario),
             simulator.scenario.time.horizon_s,
         )
         is_found = (count > 0) & (faults == "")
@@ -122,6 +130,15 @@ class PlanFile:
         time, position_m = (_widen_paths(rows, self.shape.points) for rows in (time, position_m))
         paths = {"time_s": time, "position_m": position_m, "found": is_found}
         return Trajectory(**{name: host_leaf(rows) for name, rows in paths.items()}), notes
+
+    def _speed_limit_mps(self, worlds: World, scenario: Scenario) -> np.ndarray:
+        """Return the highest speed [w, r] of paths over ground.
+
+        In moving water a robot is carried as well, by water that planners know more or less of.
+        """
+        cruise = np.asarray(worlds.cruise_speed_mps)
+        is_carried = scenario.world.currents and not self.limits_ground_speed
+        return cruise + MAX_SPEED_MPS if is_carried else cruise
 
     def _read_motion(self, rows: np.ndarray) -> dict[str, np.ndarray] | None:
         """Read headings with joints, velocities, accelerations and degrees; None without headings.
@@ -237,7 +254,12 @@ def open_plans(path: Path, scenario: Scenario) -> PlanFile:
     arm = _arm_joints(path, attributes, shapes, scenario)
     width = _padded_width(points, scenario.planner.points)
     shape = PathShape(points=width, joints=joints, arm=arm)
-    return PlanFile(path=path, group=group, shape=shape)
+    limit = attributes.get(SPEED_LIMIT, "")
+    if limit not in ("", GROUND):
+        raise ConfigError(
+            f'{path}: {SPEED_LIMIT} is {format_value(limit)}; must be "{GROUND}" or left out'
+        )
+    return PlanFile(path=path, group=group, shape=shape, limits_ground_speed=limit == GROUND)
 
 
 def _arm_joints(

@@ -61,11 +61,12 @@ def flow(uniform=(0.0, 0.0, 0.0), circulation=0.0, stream=0.0):
 CONFIG = PathSearchConfig(horizon_s=200.0, n_point=32, n_layer=required_layers(200.0, CRUISE, 1.0))
 
 
-def alone(asked, current):
+def alone(asked, current, limited=False):
     """Paths [1, 2] of one problem."""
     whole = replace(asked, current=current, seed=jnp.uint32(0), horizon_s=CONFIG.horizon_s)
     problems = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], whole)
-    return plan_paths(problems, CurrentSettings(least="time"), CONFIG)
+    settings = CurrentSettings(least="time", limit_ground_speed=limited)
+    return plan_paths(problems, settings, CONFIG)
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +92,31 @@ def test_a_robot_in_a_uniform_current_takes_zermelos_time(planned):
             np.array([0.25, 0.1]), np.array(starts[robot][:2]), np.array(goals[robot][:2]), CRUISE
         )
         assert ideal * 0.999 < paths.time_s[robot, -1] < 1.02 * ideal
+
+
+def test_the_cruise_speed_limits_the_speed_over_ground_if_it_is_set_so(planned):
+    """The first robot is carried along, the second swims against the current."""
+    starts, goals = [[2.5, 2.5, 4.5], [13.2, 9.8, 8.3]], [[13.5, 5.5, 4.5], [3.1, 12.2, 8.3]]
+    water = flow(uniform=(0.25, 0.1, 0.0))
+    free = planned(starts, goals, water)
+    run = thoroughly(partial(alone, limited=True))
+    limited = jax.tree.map(
+        lambda leaf: np.asarray(leaf[0]), run(problem(starts, goals, cells=16), water)
+    )
+    assert limited.found.all()
+
+    def fastest_mps(paths):
+        length = np.linalg.norm(np.diff(paths.position_m, axis=1), axis=-1)
+        span = np.diff(paths.time_s, axis=1)
+        return np.max(length / np.maximum(span, 1e-6), axis=1, where=span > 1e-3, initial=0.0)
+
+    assert fastest_mps(free)[0] > 1.3 * CRUISE
+    np.testing.assert_allclose(fastest_mps(limited)[0], CRUISE, rtol=1e-3)
+    line_s = np.linalg.norm(np.subtract(goals, starts)[0]) / CRUISE
+    assert 0.999 * line_s < limited.time_s[0, -1] < 1.02 * line_s
+    # Who is slower than that is not concerned.
+    assert fastest_mps(free)[1] < CRUISE
+    np.testing.assert_allclose(limited.time_s[1, -1], free.time_s[1, -1], rtol=0.01)
 
 
 def vortex(xy, t):

@@ -24,12 +24,13 @@ TERMINAL = np.array([1.5, 1.0, 0.7])
 STILL = np.zeros(3, np.float32)
 
 
-def robot(objective, effort=0.7):
+def robot(objective, effort=0.7, limited=False):
     """A robot whose axes differ: 80, 120 and 200 W at 1 m/s, above 20 W at rest."""
     speed = np.linspace(0.0, 1.0, 9) * TERMINAL[:, None]
     power = 20.0 + np.array([80.0, 120.0, 200.0])[:, None] * speed**3
     cruise, terminal = jnp.float32(CRUISE), jnp.asarray(TERMINAL, jnp.float32)
-    return power_model(cruise, terminal, jnp.asarray(power, jnp.float32), effort, objective)
+    power = jnp.asarray(power, jnp.float32)
+    return power_model(cruise, terminal, power, effort, objective, limited)
 
 
 def land_of(**keys):
@@ -42,7 +43,7 @@ def test_steps_lead_to_all_26_neighbours():
     assert steps == {s for s in itertools.product((-1, 0, 1), repeat=3) if any(s)}
 
 
-def cheapest(robot, d, c):
+def cheapest(robot, d, c, limit_mps=np.inf):
     """Cost of a metre and speed over ground of the best speed through the water, in NumPy."""
     factor, n, limit = (
         np.asarray(a, float) for a in (robot.factor, robot.exponent, robot.limit_mps)
@@ -61,21 +62,24 @@ def cheapest(robot, d, c):
         roots = np.roots([1.0, -2.0 * d @ c, c @ c - (ratio * CRUISE) ** 2])
         if np.iscomplex(roots).any() or roots.real.max() <= 0.1 * CRUISE:
             continue
-        speed = roots.real.max()
+        speed = min(roots.real.max(), limit_mps)
         axes = body @ (speed * d - c)
         if np.sum((axes / limit) ** 2) <= 1.0:
             best = min(best, ((watts(axes) + hurry) * CRUISE / (still * speed), speed))
     return best
 
 
-def test_the_pace_of_least_energy_is_the_best_of_all_speeds():
+@pytest.mark.parametrize("limited", [False, True])
+def test_the_pace_of_least_energy_is_the_best_of_all_speeds(limited):
     rng = np.random.default_rng(3)
     d = rng.normal(size=(300, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     c = 0.35 * rng.normal(size=(300, 3))
-    swims = robot("energy")
+    swims = robot("energy", limited=limited)
     cost, speed = jax.vmap(lambda d, c: cost_and_speed(swims, d, c))(jnp.asarray(d), jnp.asarray(c))
-    want = np.array([cheapest(swims, *row) for row in zip(d, c, strict=True)])
+    limit_mps = CRUISE if limited else np.inf
+    want = np.array([cheapest(swims, *row, limit_mps) for row in zip(d, c, strict=True)])
+    assert (np.max(speed) > CRUISE) == (not limited)
     goes = want[:, 0] < NO_PATH_COST
     assert 100 < goes.sum() < 280, "some currents cannot be overcome"
     np.testing.assert_allclose(cost, want[:, 0], rtol=2e-3)
@@ -84,17 +88,21 @@ def test_the_pace_of_least_energy_is_the_best_of_all_speeds():
     assert np.mean(np.abs(np.asarray(speed) / want[:, 1] - 1.0) < 1e-3) > 0.98
 
 
+@pytest.mark.parametrize("limited", [False, True])
 @pytest.mark.parametrize("stays", [True, False])
-def test_legs_take_zermelos_time(stays):
+def test_legs_take_zermelos_time(stays, limited):
     rng = np.random.default_rng(1)
     points = rng.uniform(0.0, 10.0, (6, 3)).astype(np.float32)
     c = np.array([0.2, -0.1, 0.05])
-    swims, water = robot("time"), jnp.asarray(c, jnp.float32)
+    swims, water = robot("time", limited=limited), jnp.asarray(c, jnp.float32)
     leg = shaping.leg_costs(swims, jnp.asarray(points), lambda p, t: water, jnp.float32(0.0), stays)
     gap = np.diff(points, axis=0)
     length = np.linalg.norm(gap, axis=1)
     along = gap @ c / length
     speed = along + np.sqrt(CRUISE**2 - c @ c + along**2)
+    assert speed.min() < CRUISE < speed.max()
+    if limited:
+        speed = np.minimum(speed, CRUISE)
     np.testing.assert_allclose(leg.span_s, length / speed, rtol=1e-4)
     np.testing.assert_allclose(leg.cost, length * CRUISE / speed, rtol=1e-4)
 
