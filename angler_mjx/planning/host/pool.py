@@ -208,13 +208,19 @@ class Pool(ABC):
         self._fail_waiting(self._broken)
 
     def _fail_waiting(self, error: RunError) -> None:
+        """Answer the queued problems with an error; the runners still find the pool's end."""
+        n_ends = 0
         while True:
             try:
                 job = self._jobs.get_nowait()
             except queue.Empty:
-                return
-            if job is not None:
+                break
+            if job is None:
+                n_ends += 1
+            else:
                 job.answer.set_exception(error)
+        for _ in range(n_ends):
+            self._jobs.put(None)
 
     def _find_future(self, ticket: int) -> Future[Answer]:
         if ticket not in self._futures:

@@ -5,7 +5,9 @@ import pickle
 import signal
 import subprocess
 import sys
+import threading
 import time
+from concurrent.futures import Future
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,8 @@ import pytest
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning import register
+from angler_mjx.planning.answers import failed_answer
+from angler_mjx.planning.host.pool import Job, Pool, Runner
 from angler_mjx.planning.host.workers import Workers
 from angler_mjx.planning.planner import NoPlan
 from angler_mjx.planning.register import PlannerSpec
@@ -197,6 +201,58 @@ def test_a_closed_pool_tells_who_waits(spec):
         pool.take(ticket)
     with pytest.raises(RunError, match="closed"):
         pool.submit(ask("straight"))
+
+
+class IdleRunner(Runner):
+    """A runner without a process."""
+
+    def ready(self):
+        pass
+
+    def kill(self):
+        pass
+
+    def end(self):
+        pass
+
+
+class FirstRunner(IdleRunner):
+    """After a problem it finds that the pool has closed for all runners, and that it cannot go on."""
+
+    has_answered = False
+
+    def answer(self, job):
+        self.has_answered = True
+        return failed_answer(job.robots, "error", "", 0.0)
+
+    def ready(self):
+        while self.has_answered:
+            if self.pool.closing and self.pool._jobs.qsize() == 2:
+                raise RunError("closed")
+            time.sleep(0.001)
+
+
+class LastRunner(IdleRunner):
+    """Its problem takes until the first runner has ended."""
+
+    def answer(self, job):
+        self.pool.runners[0].join()
+        return failed_answer(job.robots, "error", "", 0.0)
+
+
+def test_a_runner_that_cannot_go_on_leaves_the_end_of_the_pool_to_the_others():
+    pool = Pool(None, 2)
+    pool.begin([FirstRunner(pool), LastRunner(pool)])
+    jobs = [Job(b"", b"", 1, 1.0, Future()) for _ in range(2)]
+    for job in jobs:
+        pool.put(job)
+    while not pool.runners[0].has_answered:
+        time.sleep(0.001)
+    closing = threading.Thread(target=pool.close, daemon=True)
+    closing.start()
+    closing.join(20.0)
+    assert not closing.is_alive()
+    assert all(job.answer.done() for job in jobs)
 
 
 HELD = """
