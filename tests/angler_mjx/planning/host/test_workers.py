@@ -217,7 +217,7 @@ class IdleRunner(Runner):
 
 
 class FirstRunner(IdleRunner):
-    """After a problem it finds that the pool has closed for all runners, and that it cannot go on."""
+    """After a problem it finds that the pool has closed for all, and that it cannot go on."""
 
     has_answered = False
 
