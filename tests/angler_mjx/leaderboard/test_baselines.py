@@ -33,6 +33,17 @@ def test_planners_enter_with_the_settings_of_their_baseline(tmp_path, monkeypatc
     )
     for name in ("current", "grid", "mine.py:Mine"):
         main(["leaderboard", "plan", "--planner", name, "--out", str(tmp_path)])
+    monkeypatch.setattr(checking, "check_submission", lambda *_, **__: False)
+    making = baselines.make_baselines(
+        baselines.select_baselines(["current"]),
+        tmp_path / "made",
+        tmp_path / "store",
+        Progress(),
+        sets=("open-ocean-known-01",),
+    )
+    with pytest.raises(KeyboardInterrupt):
+        next(making)
+    assert asked.pop() == asked[0]
     assert asked == [
         {"name": "current", "current": {"limit_ground_speed": True}},
         {"name": "grid"},

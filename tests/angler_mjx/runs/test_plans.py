@@ -324,6 +324,15 @@ def test_a_path_may_be_faster_over_ground_where_water_moves(
     assert found.found[0, 0] == (reason == "")
 
 
+def test_the_cruise_speed_is_the_limit_in_still_water(asked, given, planned, tmp_path):
+    path = shutil.copytree(planned, tmp_path / "plans.zarr")
+    group = zarr.open_group(path, mode="r+")
+    group["time_s"][2, 0] = group["time_s"][2, 0] / 1.5
+    _, notes = open_plans(path, asked).of([2], given.worlds(2), given)
+    assert notes.reason[0, 0] == "is faster than its cruise speed, or jumps"
+    assert notes.reason[0, 1] == ""
+
+
 def test_a_speed_limit_that_is_none_is_refused(asked, planned, tmp_path):
     path = shutil.copytree(planned, tmp_path / "plans.zarr")
     zarr.open_group(path, mode="r+").attrs["speed_limit"] = "water"

@@ -227,7 +227,7 @@ class FirstRunner(IdleRunner):
 
     def ready(self):
         while self.has_answered:
-            if self.pool.closing and self.pool._jobs.qsize() == 2:
+            if self.pool.closing and self.pool._jobs.qsize() == 3:
                 raise RunError("closed")
             time.sleep(0.001)
 
@@ -241,9 +241,9 @@ class LastRunner(IdleRunner):
 
 
 def test_a_runner_that_cannot_go_on_leaves_the_end_of_the_pool_to_the_others():
-    pool = Pool(None, 2)
-    pool.begin([FirstRunner(pool), LastRunner(pool)])
-    jobs = [Job(b"", b"", 1, 1.0, Future()) for _ in range(2)]
+    pool = Pool(None, 3)
+    pool.begin([FirstRunner(pool), LastRunner(pool), LastRunner(pool)])
+    jobs = [Job(b"", b"", 1, 1.0, Future()) for _ in range(3)]
     for job in jobs:
         pool.put(job)
     while not pool.runners[0].has_answered:
