@@ -297,24 +297,31 @@ def test_a_path_that_cannot_be_flown_is_none_with_its_reason(asked, given, plann
 
 
 @pytest.fixture(scope="module")
-def carried(asked):
-    """A simulator of the worlds with a current, that is given its paths."""
-    world = asked.world.model_copy(update={"currents": (UniformConfig(velocity_mps=(0.2, 0, 0)),)})
-    return Simulator(asked.model_copy(update={"world": world}), paths=PathShape(points=32))
+def waters(asked):
+    """Simulators of the worlds without and with a current, that are given their paths."""
+
+    def simulator(*currents):
+        world = asked.world.model_copy(update={"currents": currents})
+        return Simulator(asked.model_copy(update={"world": world}), paths=PathShape(points=32))
+
+    return {"still": simulator(), "moving": simulator(UniformConfig(velocity_mps=(0.2, 0, 0)))}
 
 
 @pytest.mark.parametrize(
-    ("attributes", "speed_ratio", "reason"),
+    ("water", "attributes", "speed_ratio", "reason"),
     [
-        ({}, 1.5, ""),
-        ({}, 100.0, "is faster than its cruise speed, or jumps"),
-        ({"speed_limit": "ground"}, 1.5, "is faster than its cruise speed, or jumps"),
-        ({"speed_limit": "ground"}, 1.0, ""),
+        ("still", {}, 1.0, ""),
+        ("still", {}, 1.5, "is faster than its cruise speed, or jumps"),
+        ("moving", {}, 1.5, ""),
+        ("moving", {}, 100.0, "is faster than its cruise speed, or jumps"),
+        ("moving", {"speed_limit": "ground"}, 1.5, "is faster than its cruise speed, or jumps"),
+        ("moving", {"speed_limit": "ground"}, 1.0, ""),
     ],
 )
 def test_a_path_may_be_faster_over_ground_where_water_moves(
-    carried, planned, tmp_path, attributes, speed_ratio, reason
+    waters, planned, tmp_path, water, attributes, speed_ratio, reason
 ):
+    carried = waters[water]
     path = shutil.copytree(planned, tmp_path / "plans.zarr")
     group = zarr.open_group(path, mode="r+")
     group.attrs.update(digest=carried.scenario.digest(), **attributes)
@@ -322,15 +329,6 @@ def test_a_path_may_be_faster_over_ground_where_water_moves(
     found, notes = open_plans(path, carried.scenario).of([2], carried.worlds(2), carried)
     assert notes.reason[0, 0] == reason
     assert found.found[0, 0] == (reason == "")
-
-
-def test_the_cruise_speed_is_the_limit_in_still_water(asked, given, planned, tmp_path):
-    path = shutil.copytree(planned, tmp_path / "plans.zarr")
-    group = zarr.open_group(path, mode="r+")
-    group["time_s"][2, 0] = group["time_s"][2, 0] / 1.5
-    _, notes = open_plans(path, asked).of([2], given.worlds(2), given)
-    assert notes.reason[0, 0] == "is faster than its cruise speed, or jumps"
-    assert notes.reason[0, 1] == ""
 
 
 def test_a_speed_limit_that_is_none_is_refused(asked, planned, tmp_path):
