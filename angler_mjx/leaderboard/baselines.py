@@ -261,19 +261,21 @@ def merge_results(parts: Sequence[Mapping[str, Any]], name: str) -> dict[str, An
             f"{name}: {repeated[0]} was judged in two parts; make it in another folder (--out)"
         )
     planned = [part["planned_on"] for part in parts]
+    factor = max(part["factor"] for part in planned)  # each problem's own stands in its score
     entered = [name for part in parts for name in part["entered"]]
     return {
         **first,
         "card": {
             **first["card"],
             "machine": _join_distinct(part["card"]["machine"] for part in parts),
+            "machine_factor": factor,
             "sets": entered,
         },
         "entered": entered,
         "judged_on": _join_distinct(part["judged_on"] for part in parts),
         "planned_on": {
             "machine": _join_distinct(part["machine"] for part in planned),
-            "factor": max(part["factor"] for part in planned),
+            "factor": factor,
         },
         "scores": [score for part in parts for score in part["scores"]],
     }

@@ -3,7 +3,8 @@
 It is made of ``result.json`` files alone, so that anybody can rebuild it. Submissions to all sets
 are ordered by the fraction of problems that they solve. Those to part of the sets stand in a table
 of their own, ordered by the number of solved problems, because easy sets would raise a fraction; a
-tier that they did not enter is empty.
+tier that they did not enter is empty. What flies without plans observes all the time and has no
+time limit: it stands in tables of its own, as do hidden problems of each secret.
 """
 
 import shutil
@@ -11,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.leaderboard import checking, problem_sets, submission
@@ -134,16 +135,10 @@ def format_board(
         )
         for number, table in enumerate([*results, *baselines])
     ]
-    sections = []
-    for is_hidden in (False, True):
-        for is_whole in (True, False):
-            group = [
-                entry
-                for entry in entries
-                if (bool(entry.table["hidden"]), entry.is_whole) == (is_hidden, is_whole)
-            ]
-            if group:
-                sections.append(_format_group(group, is_hidden=is_hidden, is_whole=is_whole))
+    groups: dict[BoardPlace, list[BoardEntry]] = {}
+    for entry in sorted(entries, key=lambda entry: entry.place):
+        groups.setdefault(entry.place, []).append(entry)
+    sections = [_format_group(group, place) for place, group in groups.items()]
     versions = sorted({f"angler-mjx {e.table['physics']['angler-mjx']}" for e in entries})
     problems = sum(entry.problems for entry in every)
     return (
@@ -156,13 +151,34 @@ def format_board(
         "current of an ocean model; with the true future known, or the present observed. Plans are "
         "flown in simulated truth by a fleet whose parameters the planner does not know, and a "
         "referee that shares no code with the simulator computes every score again. A problem is "
-        "solved if every robot arrives and planning kept its time limit.</p>\n"
+        "solved if every robot arrives and planning kept its time limit. Planning times and "
+        "machines of plans are stated by their authors; those of programs are measured by the "
+        "judge.</p>\n"
         f"<p>Physics: {escape(', '.join(versions))}. Intervals are of 95 %. A dash is a tier that "
         "was not entered, which is not failed.</p>\n"
         + "\n".join(sections)
         + _format_limits(benchmark)
         + "\n</body>\n</html>\n"
     )
+
+
+class BoardPlace(NamedTuple):
+    """What submissions of one table share; tables stand in the order of these values."""
+
+    is_hidden: bool
+    problems_sha256: str
+    """Of all problems."""
+    is_in_flight: bool
+    is_partial: bool
+
+    @property
+    def title(self) -> str:
+        """Heading of the table."""
+        problems = (
+            f"Hidden problems {self.problems_sha256[:8]}" if self.is_hidden else "Public problems"
+        )
+        kind = ", in flight" if self.is_in_flight else ""
+        return f"{problems}{kind}, {'part of the sets' if self.is_partial else 'all sets'}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,6 +200,16 @@ class BoardEntry:
     def solved(self) -> int:
         """Number of solved problems."""
         return sum(bool(row["solved"]) for row in self.table["scores"])
+
+    @property
+    def place(self) -> BoardPlace:
+        """Table that it stands in."""
+        return BoardPlace(
+            is_hidden=bool(self.table["hidden"]),
+            problems_sha256=str(self.table["problems_sha256"]),
+            is_in_flight=self.table["card"]["kind"] == "in_flight",
+            is_partial=not self.is_whole,
+        )
 
 
 def _format_limits(benchmark: problem_sets.FrozenBenchmark) -> str:
@@ -222,12 +248,10 @@ def _list_columns() -> list[tuple[str, list[tuple[str, int]]]]:
     return list(parts.items())
 
 
-def _format_group(group: Sequence[BoardEntry], *, is_hidden: bool, is_whole: bool) -> str:
+def _format_group(group: Sequence[BoardEntry], place: BoardPlace) -> str:
     ordered = sorted(
         group, key=lambda entry: (-entry.solved, entry.table["card"]["name"], entry.is_baseline)
     )
-    kind = "Hidden problems" if is_hidden else "Public problems"
-    extent = "all sets" if is_whole else "part of the sets"
     columns = _list_columns()
     head = "".join(
         f'<th class="part" colspan="{len(tiers)}">{part}</th>' for part, tiers in columns
@@ -249,16 +273,21 @@ def _format_group(group: Sequence[BoardEntry], *, is_hidden: bool, is_whole: boo
         + "</tr>"
         for entry in ordered
     )
-    partly = (
-        ""
-        if is_whole
-        else " Of a tier that was entered in part, the third line is solved of entered problems."
-    )
+    notes = ""
+    if place.is_in_flight:
+        notes += (
+            " They observe obstacles and current all the time, where a planner observes the start, "
+            "and their time has no limit."
+        )
+    if place.is_partial:
+        notes += (
+            " Of a tier that was entered in part, the third line is solved of entered problems."
+        )
     details = "\n".join(_format_details(entry) for entry in ordered)
     return (
-        f"<h2>{kind}, {extent}</h2>\n"
+        f"<h2>{escape(place.title)}</h2>\n"
         "<p>Solved problems in percent of those that were entered, and the interval; below each "
-        f"tier its number of problems.{partly}</p>\n"
+        f"tier its number of problems.{notes}</p>\n"
         f'<div class="wide"><table><tr><th></th>{head}</tr>\n<tr><th>planner</th>{names}</tr>\n'
         f"{rows}\n</table></div>\n"
         "<h3>Solved problems</h3>\n<p>Medians over the problems that each planner solved, with "
@@ -323,7 +352,7 @@ def _format_details(entry: BoardEntry) -> str:
     planned = table.get("planned_on", {})
     machine = planned.get("machine") or card.get("machine") or "machine not stated"
     texts = [
-        escape(f"{_KINDS[card['kind']]}; {machine}, factor {planned.get('factor', 1.0):.2f}"),
+        escape(f"{_KINDS[card['kind']]}; {machine}, {_format_factor(table['scores'])}"),
         escape(f"{_format_physics(table)} on {table['judged_on']}"),
         escape(reasons or "none"),
     ]
@@ -336,6 +365,12 @@ def _format_details(entry: BoardEntry) -> str:
         + "".join(f'<td class="text">{text}</td>' for text in texts)
         + "</tr>"
     )
+
+
+def _format_factor(rows: Sequence[Mapping[str, Any]]) -> str:
+    factors = [float(row["time_factor"]) for row in rows]
+    low, high = min(factors), max(factors)
+    return f"factor {low:.2f}" if high - low < 0.005 else f"factors {low:.2f} to {high:.2f}"
 
 
 def _format_url(card: Mapping[str, Any]) -> str:

@@ -6,17 +6,18 @@ plan, without its trajectories unless they are to be kept.
 
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from angler_mjx import __version__
 from angler_mjx.errors import AnglerError, ConfigError
-from angler_mjx.files import parse_model
+from angler_mjx.files import FileModel, parse_model
 from angler_mjx.leaderboard import problem_files, problem_sets, sandbox, submission
 from angler_mjx.leaderboard.problem_files import ProblemManifest
 from angler_mjx.leaderboard.problem_sets import FrozenBenchmark, ProblemSet
@@ -44,8 +45,7 @@ ROBOTS_PER_PROCESS = 32
 """Judged flights that are worth a further process: it takes some seconds to start."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ProblemScore:
+class ProblemScore(FileModel):
     """Score of one problem."""
 
     problem: str
@@ -67,8 +67,39 @@ class ProblemScore:
     """Least distance of any robot to rock, floor, obstacles and other robots; null unless flown."""
     planning_s: float | None
     """Planning time, over the factor of its machine; null if it is not known."""
+    time_factor: float
+    """Factor that the planning time was divided by."""
     reason: str
     """Why it is not solved; empty if it is."""
+
+
+class Physics(FileModel):
+    """Version of the package that flew."""
+
+    angler_mjx: Annotated[str, Field(alias="angler-mjx")]
+    commit: str | None = None
+
+
+class PlanningMachine(FileModel):
+    """Machine of the planning times."""
+
+    machine: str
+    factor: float
+    """Greatest factor that a planning time was divided by."""
+
+
+class CheckResult(FileModel):
+    """What `RESULT` holds."""
+
+    benchmark: str
+    problems_sha256: str
+    hidden: bool
+    card: Card
+    entered: Annotated[tuple[str, ...], Field(min_length=1)]
+    physics: Physics
+    judged_on: str
+    planned_on: PlanningMachine
+    scores: Annotated[tuple[ProblemScore, ...], Field(min_length=1)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -251,7 +282,8 @@ def _collect_plans(
             )
         else:
             path = source / submission.PLANS / f"{entry.name}.zarr"
-            rows = submission.read_plans(path, entry, record, scenario.planner.points)
+            seed = problem_files.printed_seed(scenario, secret)
+            rows = submission.read_plans(path, entry, record, seed, scenario.planner.points)
         one = CheckedSet(
             entry=entry,
             scenario=scenario,
@@ -396,6 +428,8 @@ def _flown_score(
 ) -> ProblemScore:
     arrived = [row for row in episodes if row["outcome"] == "reached"]
     reason = fault or _find_fault(one, world) or _find_late(one, world)
+    if reason:  # plans that do not count bring nobody there
+        arrived = []
     missing = [row for row in episodes if row["plan_reason"]]
     if not reason and missing:
         robot, text = missing[0]["robot"], missing[0]["plan_reason"]
@@ -423,6 +457,7 @@ def _flown_score(
         energy_j=sum(row["energy_j"] for row in episodes),
         clearance_m=min(clearances),
         planning_s=_planning_s(one, world, episodes),
+        time_factor=one.time_factor,
         reason=reason,
     )
 
@@ -440,6 +475,7 @@ def _unflown_score(one: CheckedSet, world: int) -> ProblemScore:
         energy_j=0.0,
         clearance_m=None,
         planning_s=_planning_s(one, world, ()),
+        time_factor=one.time_factor,
         reason=_find_fault(one, world) or f"robot 0 has no plan: {_find_note(one, world, 0)}",
     )
 
@@ -470,7 +506,7 @@ def _find_late(one: CheckedSet, world: int) -> str:
     if seconds <= one.entry.limit_s:
         return ""
     scaled = "" if one.time_factor == 1.0 else f" (divided by the factor {one.time_factor:.2f})"
-    return f"planned for {seconds:.3g} s{scaled}, at most {one.entry.limit_s:g} s"
+    return f"planned for {seconds:.4g} s{scaled}, at most {one.entry.limit_s:g} s"
 
 
 def _write_result(
@@ -499,7 +535,7 @@ def _write_result(
                 "machine": _name_machine(card, str(environment["device"])),
                 "factor": time_factor,
             },
-            "scores": [asdict(score) for score in scores],
+            "scores": [score.model_dump() for score in scores],
         },
     )
     (building / multi_run.REQUEST_FILE).unlink()
@@ -530,4 +566,5 @@ def read_result(out: Path) -> dict[str, Any]:
     title = problem_sets.load_benchmark().title
     if table.get("benchmark") != title:
         raise ConfigError(f"{path}: is of {table.get('benchmark')!r}, this program has {title!r}")
+    parse_model(CheckResult, table, source=str(path))
     return table

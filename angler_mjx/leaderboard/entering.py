@@ -43,7 +43,7 @@ from angler_mjx.sim.state import World
 from angler_mjx.studies.speed.measured import graph_search
 
 type PlanBatch = Callable[[Problem], Plan]
-"""Compiled planner of problems of one shape, [world] leading."""
+"""Compiled planner of a batch of one problem."""
 
 
 def plan_submission(
@@ -240,16 +240,20 @@ class LoadedPlanner:
     """Whether the planner was not called yet."""
 
     def write_plans(self, part: SetToPlan) -> None:
-        """Plan all problems of the set at once, timed; each took its part of the time."""
-        if self.is_new:  # the first call loads the program
-            jax.block_until_ready(self.plan_batch(self.problems))
-        begin = time.perf_counter()
-        planned = jax.block_until_ready(self.plan_batch(self.problems))
+        """Plan the problems of the set one after another, each timed."""
         count = part.scenario.worlds
-        seconds = (time.perf_counter() - begin) / count
+        if self.is_new:  # the first call loads the program
+            jax.block_until_ready(self.plan_batch(_select_problem(self.problems, 0)))
+        planned, planning_s = [], np.zeros(count)
+        for world in range(count):
+            problem = _select_problem(self.problems, world)
+            begin = time.perf_counter()
+            planned.append(jax.block_until_ready(self.plan_batch(problem)))
+            planning_s[world] = time.perf_counter() - begin
+        paths: Plan = jax.tree.map(lambda *rows: np.concatenate(rows), *planned)
+        worlds = jax.tree.map(lambda leaf: leaf[:count], self.worlds)
         name, shape = part.scenario.planner.name, self.simulator.paths
-        replace_paths(self.worlds, planned, name, shape)
-        paths = jax.tree.map(lambda leaf: np.asarray(leaf)[:count], planned)
+        replace_paths(worlds, paths, name, shape)
         is_found = np.asarray(plans.is_found(paths))
         is_begun = output_lock.partial_path(part.path).exists()
         writer = plan_writer.open_writer(
@@ -257,13 +261,20 @@ class LoadedPlanner:
         )
         with writer.keeping():
             notes = PlanNotes(
-                planning_s=np.full(count, seconds),
+                planning_s=planning_s,
                 status=planning_status(is_found),
                 reason=np.where(is_found, "", "no way found").astype(object),
             )
             writer.write(0, paths, notes)
             writer.publish()
         self.simulator.close()
+
+
+def _select_problem(problems: Problem, world: int) -> Problem:
+    """Return one problem of a batch as a batch of one, on the device."""
+    alone: Problem = jax.tree.map(lambda leaf: leaf[world : world + 1], problems)
+    jax.block_until_ready(alone)
+    return alone
 
 
 def _compile_planner(part: SetToPlan, programs: dict[Hashable, PlanBatch]) -> LoadedPlanner:
@@ -279,13 +290,14 @@ def _compile_planner(part: SetToPlan, programs: dict[Hashable, PlanBatch]) -> Lo
     # Given the shape of paths, it samples worlds without the planner.
     simulator = Simulator(scenario, devices=1, paths=shape)
     worlds, problems = simulator.sample_problems(0)
-    leaves, structure = jax.tree.flatten(problems)
+    problem = _select_problem(problems, 0)
+    leaves, structure = jax.tree.flatten(problem)
     traced = (structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves))
     is_new = traced not in programs
     if is_new:
         settings = problem_settings(scenario, scenario.planner.information.to_information())
         planner = build_device_planner(spec, settings)
-        programs[traced] = CompiledFunction(planner.plan_batch).lower(problems).compile()
+        programs[traced] = CompiledFunction(planner.plan_batch).lower(problem).compile()
     return LoadedPlanner(
         simulator=simulator,
         worlds=worlds,

@@ -5,6 +5,7 @@ one file of plain numbers, and ``manifest.json``.
 """
 
 import hashlib
+import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -165,11 +166,8 @@ def write_problem_files(
     for entry in sets:
         if entry.name not in records or not (out / f"{entry.name}.zarr").exists():
             progress.describe(entry.name)
-            attempt = None if frozen is None else frozen.find(entry.name).attempt
-            record = _write_set(benchmark, entry, out, secret, attempt)
-            if frozen is not None:
-                _require_frozen(record, frozen.find(entry.name))
-            records[entry.name] = record
+            known = None if frozen is None else frozen.find(entry.name)
+            records[entry.name] = _write_set(benchmark, entry, out, secret, known)
             manifest = _build_manifest(benchmark, records, secret)
             write_json(path, _manifest_table(manifest))
         progress.advance(entry.problems)
@@ -209,9 +207,24 @@ def build_set_scenario(
     return problem_sets.build_scenario(benchmark, entry, seed)
 
 
+def printed_seed(scenario: Scenario, secret: bytes) -> int:
+    """Return the attribute ``seed`` of the files of a set: that of the worlds, 0 if hidden."""
+    return 0 if secret else scenario.seed
+
+
 def _write_set(
-    benchmark: FrozenBenchmark, entry: ProblemSet, out: Path, secret: bytes, attempt: int | None
+    benchmark: FrozenBenchmark,
+    entry: ProblemSet,
+    out: Path,
+    secret: bytes,
+    frozen: SetRecord | None,
 ) -> SetRecord:
+    """Write the problems of a set, once they are known to be the frozen ones.
+
+    Raises:
+        RunError: they differ, or no seed has room for the team.
+    """
+    attempt = None if frozen is None else frozen.attempt
     simulator = None
     for number in range(MAX_ATTEMPTS) if attempt is None else (attempt,):
         scenario = build_set_scenario(benchmark, entry, number, secret)
@@ -225,16 +238,22 @@ def _write_set(
         raise RunError(f"{entry.name}: no seed of {MAX_ATTEMPTS} has worlds that hold the team")
     problems = simulator.problems(0, entry.problems)
     hashes = [hash_problem(problem) for problem in problems]
-    extend = partial(_extend_group, benchmark, entry, secret, hashes)
-    write_problems(out / f"{entry.name}.zarr", simulator, raw=True, extend=extend)
-    simulator.close()
-    return SetRecord(
+    record = SetRecord(
         name=entry.name,
         attempt=number,
         digest=scenario.digest(),
         sha256=tuple(hashes),
         bound_s=tuple(_bound_makespan_s(problem) for problem in problems),
     )
+    if frozen is not None:
+        _require_frozen(record, frozen)
+    path = out / f"{entry.name}.zarr"
+    if path.exists():  # of a call that was ended before it could write the manifest
+        shutil.rmtree(path)
+    extend = partial(_extend_group, benchmark, entry, secret, hashes)
+    write_problems(path, simulator, raw=True, extend=extend)
+    simulator.close()
+    return record
 
 
 def _bound_makespan_s(problem: Problem) -> float:

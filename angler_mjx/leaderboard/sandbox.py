@@ -126,7 +126,11 @@ def plan_set(
 
 
 def _measure_start(bubblewrap: str) -> float:
-    """Return the seconds that a sandbox takes for a program that does nothing."""
+    """Return the seconds that a sandbox takes for a program that does nothing.
+
+    Raises:
+        UnsupportedError: it does not run there.
+    """
     config = ProgramConfig(command=("/usr/bin/true",))
     times = []
     with tempfile.TemporaryDirectory(prefix="angler-sandbox-") as name:
@@ -136,8 +140,10 @@ def _measure_start(bubblewrap: str) -> float:
             (folder / part).mkdir()
         for _ in range(STARTS):
             begin = time.perf_counter()
-            if run_program(bubblewrap, config, folder, GRACE):
-                return 0.0
+            if fault := run_program(bubblewrap, config, folder, GRACE):
+                raise UnsupportedError(
+                    f"the sandbox of this machine cannot run programs: /usr/bin/true {fault}"
+                )
             times.append(time.perf_counter() - begin)
     return min(times)
 
@@ -179,7 +185,9 @@ def _plan_problem(
                 bound_s=record.bound_s[world : world + 1],
             )
             path = folder / "out" / "plan.zarr"
-            rows = submission.read_plans(path, single, one, scenario.planner.points)
+            problem = json.loads((folder / "problem.zarr" / "zarr.json").read_text("utf-8"))
+            seed = problem["attributes"]["seed"]
+            rows = submission.read_plans(path, single, one, seed, scenario.planner.points)
     return PlanRows(
         arrays=rows.arrays, planning_s=np.array([min(seconds, limit_s)]), faults=rows.faults
     )
@@ -257,6 +265,11 @@ def run_program(bubblewrap: str, config: ProgramConfig, folder: Path, limit_s: f
         "/out",
         "--chdir",
         "/program",
+        # Inside, where the kernel counts the processes of the sandbox alone; outside it would count
+        # all of the person who judges. Bubblewrap itself has two.
+        "prlimit",
+        f"--nproc={config.processes + 3}",
+        "--",
         *config.command,
         "/problem.zarr",
         "/out/plan.zarr",
@@ -296,8 +309,8 @@ def _describe_late(limit_s: float) -> str:
 def _unprivileged() -> dict[str, Any]:
     """Return the user that a sandbox runs as: a number of its own, where this process is root.
 
-    The kernel limits the processes of users other than root only, and counts them by user: those of
-    an earlier sandbox that are still ending must not count.
+    The kernel limits the processes of users other than root only, and those before Linux 5.14 count
+    them by user: those of an earlier sandbox that are still ending must not count.
     """
     if os.geteuid() != 0:
         return {}
@@ -321,8 +334,6 @@ def _limit_resources(config: ProgramConfig, limit_s: float) -> list[str]:
         "fsize": MAX_FILE_BYTES,
         "core": 0,
         "nofile": 256,
-        # Bubblewrap itself has two.
-        "nproc": config.processes + 3,
     }
     return ["prlimit", *(f"--{name}={limit}" for name, limit in limits.items())]
 

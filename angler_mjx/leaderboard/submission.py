@@ -10,17 +10,18 @@ understood is refused.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import zarr
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from angler_mjx.errors import AnglerError, ConfigError, format_value
 from angler_mjx.files import FileModel, parse_model, read_toml
 from angler_mjx.leaderboard import problem_sets
 from angler_mjx.leaderboard.problem_files import SetRecord
 from angler_mjx.leaderboard.problem_sets import FrozenBenchmark, ProblemSet
+from angler_mjx.robot.control.commands.joint_trajectory import CUBIC, LINEAR
 from angler_mjx.runs.storage.plans.read import GROUND, SCHEMA, SCHEMA_VERSION, SPEED_LIMIT
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
@@ -33,6 +34,8 @@ MAX_NOTE = 200
 """Characters of a reason of a file that are read."""
 _OPTIONAL_WIDTHS = {"yaw_rad": 0, "velocity": 4, "acceleration": 4, "degree": 0}
 """Optional arrays of a file of plans, with the size of the axis behind that of the points."""
+_PINNED = ("deadline_s", "points")
+"""Keys of a scenario's ``planner`` that are the benchmark's."""
 
 type Text = Annotated[str, Field(min_length=1, max_length=2000)]
 
@@ -56,6 +59,23 @@ class InFlightConfig(FileModel):
     """Keys of a scenario's ``policy``."""
     execution: dict[str, Any] = Field(default_factory=dict)
     """Keys of a scenario's ``execution``."""
+
+    @field_validator("planner")
+    @classmethod
+    def _refuse_pinned(cls, table: dict[str, Any]) -> dict[str, Any]:
+        if pinned := [key for key in _PINNED if key in table]:
+            raise ValueError(f"{pinned[0]} is given by the benchmark: leave it out")
+        return table
+
+    @model_validator(mode="after")
+    def _require_flight(self) -> Self:
+        """Refuse planners that only plan before the flight: their time has a limit."""
+        if not self.policy.get("name") and not self.planner.get("replan_hz"):
+            raise ValueError(
+                "commands nothing in flight: give a policy, or a planner with replan_hz; plans "
+                'made before the flight are entered as kind = "plans" (angler leaderboard plan)'
+            )
+        return self
 
     @field_validator("planner", "policy")
     @classmethod
@@ -160,25 +180,30 @@ def empty_rows(entry: ProblemSet, reason: str) -> PlanRows:
     )
 
 
-def read_plans(path: Path, entry: ProblemSet, record: SetRecord, max_points: int) -> PlanRows:
+def read_plans(
+    path: Path, entry: ProblemSet, record: SetRecord, seed: int, max_points: int
+) -> PlanRows:
     """Read the plans of a set; what cannot be used has a reason instead.
 
     Args:
         path: of the file of plans.
         entry: the set.
         record: of it, in the manifest.
+        seed: attribute of the files of its problems; see `problem_files.printed_seed`.
         max_points: points that a path may have.
     """
     if not path.exists():
         return empty_rows(entry, f"{path.name} is missing")
     try:
         with wrap_read_errors(Path(path.name)):
-            return _read_group(path, entry, record, max_points)
+            return _read_group(path, entry, record, seed, max_points)
     except AnglerError as error:
         return empty_rows(entry, str(error))
 
 
-def _read_group(path: Path, entry: ProblemSet, record: SetRecord, max_points: int) -> PlanRows:
+def _read_group(
+    path: Path, entry: ProblemSet, record: SetRecord, seed: int, max_points: int
+) -> PlanRows:
     group = zarr.open_group(path, mode="r")
     attributes = dict(group.attrs)
     if (attributes.get("schema"), attributes.get("schema_version")) != (SCHEMA, SCHEMA_VERSION):
@@ -187,6 +212,11 @@ def _read_group(path: Path, entry: ProblemSet, record: SetRecord, max_points: in
         raise ConfigError(
             f"{path.name}: digest is {format_value(str(attributes.get('digest'))[:12])}, that of "
             f"the problems is {record.digest[:12]}: its plans are of other problems"
+        )
+    if attributes.get("seed") != seed:
+        raise ConfigError(
+            f"{path.name}: seed is {format_value(attributes.get('seed'))}, that of the problems is "
+            f"{seed}: its plans are of other problems"
         )
     if "sha256" in attributes and attributes["sha256"] != list(record.sha256):
         raise ConfigError(f"{path.name}: sha256 differs from that of the frozen problems")
@@ -213,6 +243,7 @@ def _read_group(path: Path, entry: ProblemSet, record: SetRecord, max_points: in
     arrays, damage = _read_arrays(path, group, list(expected), entry.problems)
     planning_s = arrays.pop("planning_s", np.full(entry.problems, np.nan))
     limited = _limit_points(arrays, planning_s.astype(float), max_points, damage)
+    limited = _require_straight(limited)
     return replace(limited, notes=_read_notes(group, shapes.get("reason") == rows))
 
 
@@ -284,6 +315,29 @@ def _limit_points(
     with np.errstate(over="ignore", invalid="ignore"):
         typed = {name: values.astype(types.get(name, np.float32)) for name, values in cut.items()}
     return PlanRows(arrays=typed, planning_s=planning_s, faults=faults)
+
+
+def _require_straight(rows: PlanRows) -> PlanRows:
+    """Take out problems with a path that bends between its points, and what would bend it."""
+    arrays = dict(rows.arrays)
+    velocity, _, degree = (
+        arrays.pop(name, None) for name in ("velocity", "acceleration", "degree")
+    )
+    if degree is None:
+        if velocity is None:
+            return rows
+        degree = np.full(arrays["time_s"].shape, CUBIC)  # as files of plans have it
+    is_point = np.arange(degree.shape[-1]) < arrays["points"][..., None]
+    is_bent = np.any(is_point & (degree >= CUBIC), axis=-1)
+    faults = list(rows.faults)
+    for world in np.flatnonzero(is_bent.any(axis=-1)):
+        robot = int(np.argmax(is_bent[world]))
+        faults[world] = faults[world] or (
+            f"robot {robot}: path with velocities or of a degree above {LINEAR}; paths lead "
+            "straight from point to point"
+        )
+    arrays["points"] = np.where(is_bent, 0, arrays["points"])
+    return replace(rows, arrays=arrays, faults=faults)
 
 
 def write_plans(path: Path, scenario: Scenario, rows: PlanRows) -> None:

@@ -175,14 +175,15 @@ def test_a_policy_flies_with_the_information_of_the_set(benchmark, sets):
     assert flown.digest() == scenario.digest()
     # The planner that a policy does not use must not refuse the problems.
     check_planner(flown)
+    strange = InFlightConfig(planner={"worlds": 3, "replan_hz": 1.0})
     with pytest.raises(ConfigError, match="worlds"):
-        checking.build_flown_scenario(scenario, InFlightConfig(planner={"worlds": 3}), "card.toml")
+        checking.build_flown_scenario(scenario, strange, "card.toml")
 
 
 def test_a_planner_in_flight_gets_the_highest_level_that_it_can_use(benchmark, sets):
     scenario = problem_sets.build_scenario(benchmark, sets["reef-moving-known-02"], 1)
     flown = checking.build_flown_scenario(
-        scenario, InFlightConfig(planner={"name": "grid"}), "card.toml"
+        scenario, InFlightConfig(planner={"name": "grid", "replan_hz": 1.0}), "card.toml"
     )
     assert flown.planner.information.model_dump() == {"obstacles": "truth", "current": "nothing"}
 
@@ -192,6 +193,7 @@ def test_a_planner_in_flight_gets_the_highest_level_that_it_can_use(benchmark, s
     [
         (0.9, 1.0, ""),
         (1.1, 1.0, "planned for 1.1 s, at most 1 s"),
+        (1.003, 1.0, "planned for 1.003 s, at most 1 s"),
         (1.9, 2.0, ""),
         (0.9, 0.5, "planned for 1.8 s (divided by the factor 0.50), at most 1 s"),
         (np.nan, 1.0, "states no planning time (planning_s)"),
@@ -204,6 +206,27 @@ def test_planning_times_are_limited_after_division_by_the_factor(
     timed = replace(rows, planning_s=np.array([seconds]))
     one = checked_set(benchmark, sets[NAME], timed, time_factor=factor)
     assert checking._find_late(one, 0) == reason
+
+
+@pytest.mark.parametrize(("seconds", "arrived"), [(0.9, 1), (1.1, 0)])
+def test_plans_that_are_late_bring_no_robot_to_its_goal(benchmark, sets, seconds, arrived):
+    episode = {
+        "outcome": "reached",
+        "plan_reason": "",
+        "planned": True,
+        "robot": 0,
+        "time_to_goal_s": 60.0,
+        "energy_j": 900.0,
+        "min_clearance_m": 1.0,
+        "min_separation_m": None,
+    }
+    rows = replace(
+        empty_rows(replace(sets[NAME], problems=1), ""), planning_s=np.array([seconds]), faults=[""]
+    )
+    one = checked_set(benchmark, sets[NAME], rows, time_factor=1.0)
+    score = checking._flown_score(one, 0, [episode], "")
+    assert (score.solved, score.arrived, score.time_factor) == (arrived == 1, arrived, 1.0)
+    assert score.makespan_s == (60.0 if arrived else None)
 
 
 def test_a_problem_that_nobody_flies_has_the_reason_of_its_file(benchmark, sets):

@@ -9,7 +9,7 @@ import zarr
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.leaderboard import checking, entering, problem_files, problem_sets, submission
-from angler_mjx.planning.device_planner import build_device_planner
+from angler_mjx.planning.device_planner import DevicePlanner, build_device_planner
 from angler_mjx.progress import Progress
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.studies.speed.measured import graph_search
@@ -101,6 +101,31 @@ def test_sets_of_problems_of_one_shape_share_a_compiled_planner(tmp_path, monkey
         assert np.all(path.found[:count])
         for key, flown in (("time_s", path.time_s), ("position_m", path.position_m)):
             np.testing.assert_allclose(made[key][:], flown[:count], rtol=1e-5, atol=1e-5)
+
+
+def test_each_problem_is_planned_and_timed_alone(tmp_path, monkeypatch, manifest):
+    """A batch takes little longer than its slowest problem: its parts would look fast."""
+    sizes, seconds = [], iter([0.0, 1.5, 10.0, 10.25])
+
+    def plan_batch(self, problems):
+        sizes.append(len(problems.floor_z_m))
+        return original(self, problems)
+
+    original = DevicePlanner.plan_batch
+    monkeypatch.setattr(DevicePlanner, "plan_batch", plan_batch)
+    clock = SimpleNamespace(perf_counter=lambda: next(seconds))
+    monkeypatch.setattr(entering, "time", clock)
+    entering.plan_submission(
+        tmp_path,
+        {"name": "grid"},
+        Progress(),
+        manifest=manifest,
+        name="grid",
+        sets=("open-still-known-01",),
+    )
+    assert set(sizes) == {1}  # it is traced
+    made = zarr.open_group(tmp_path / "plans" / "open-still-known-01.zarr", mode="r")
+    assert made["planning_s"][:].tolist() == [1.5, 0.25]
 
 
 def test_processes_side_by_side_plan_the_same(tmp_path, manifest):

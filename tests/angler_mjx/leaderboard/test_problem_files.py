@@ -105,6 +105,24 @@ def test_problems_that_differ_from_the_frozen_ones_are_refused(tmp_path, benchma
         problem_files.write_problem_files(
             benchmark, [sets[name]], tmp_path / "p", Progress(), frozen=frozen
         )
+    assert not list((tmp_path / "p").iterdir())
+
+
+def test_a_set_without_its_line_in_the_manifest_is_written_again(
+    tmp_path, benchmark, manifest, sets, problems
+):
+    """A call was ended between the two."""
+    name = "open-still-known-01"
+    (tmp_path / "p" / f"{name}.zarr").mkdir(parents=True)
+    made = problem_files.write_problem_files(
+        benchmark, [sets[name]], tmp_path / "p", Progress(), frozen=manifest
+    )
+    assert made.find(name) == manifest.find(name)
+    written, expected = (
+        {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+        for folder in (tmp_path / "p" / f"{name}.zarr", problems / f"{name}.zarr")
+    )
+    assert written == expected
 
 
 def test_hidden_problems_differ_and_name_no_seed(tmp_path, benchmark, manifest, sets):

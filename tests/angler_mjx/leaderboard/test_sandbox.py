@@ -1,7 +1,9 @@
 """Programs of submissions in bubblewrap: what they can do, and how they fail."""
 
 import json
+import os
 import shutil
+import subprocess
 import sys
 from dataclasses import replace
 
@@ -42,7 +44,7 @@ write("points", [1, 1], "int32", "<i", [2])
 write("time_s", [1, 1, 2], "float32", "<2f", [0, seconds])
 write("position_m", [1, 1, 2, 3], "float32", "<6f", [*start, *goal])
 json.dump({"zarr_format": 3, "node_type": "group", "attributes": {"schema": "angler_mjx plans",
-    "schema_version": 1, "digest": attributes["digest"], "seed": 0}},
+    "schema_version": 1, "digest": attributes["digest"], "seed": attributes["seed"]}},
     open(f"{plan}/zarr.json", "w"))
 """
 
@@ -142,6 +144,33 @@ def test_a_program_that_misbehaves_fails_its_problem(run, code, fault):
     assert len(rows.faults) == 1
     assert fault in rows.faults[0]
     assert not rows.arrays["points"].any()
+
+
+@needs_sandbox
+@needs_python
+def test_processes_of_the_judge_do_not_count_as_the_programs(run, monkeypatch):
+    """Whoever judges as an ordinary user has more processes than a program may start."""
+    if os.geteuid() == 0:
+        user = {"user": 54321, "group": 54321, "extra_groups": []}
+        monkeypatch.setattr(sandbox, "_unprivileged", lambda: user)
+    else:
+        user = {}
+    others = [subprocess.Popen(["/usr/bin/sleep", "60"], **user) for _ in range(30)]
+    try:
+        assert run(STRAIGHT, processes=4).faults[0] == ""
+        forks = "import os, time\nfor i in range(8): os.fork() or time.sleep(60)"
+        assert "BlockingIOError" in run(forks, processes=4).faults[0]
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
+
+
+@needs_sandbox
+def test_a_sandbox_that_cannot_run_anything_is_said(monkeypatch):
+    monkeypatch.setattr(sandbox, "run_program", lambda *_: "ended with status 1: bwrap: no")
+    with pytest.raises(UnsupportedError, match="cannot run programs: /usr/bin/true ended with sta"):
+        sandbox._measure_start("bwrap")
 
 
 @needs_sandbox

@@ -23,6 +23,7 @@ def row(name, robots, **more):
         "energy_j": 1000.0 * robots,
         "clearance_m": 0.5,
         "planning_s": 0.2,
+        "time_factor": 1.0,
         "reason": "",
     } | more
 
@@ -107,10 +108,17 @@ def result(name, rows=ROWS, **more):
         "benchmark": problem_sets.load_benchmark().title,
         "problems_sha256": "0" * 64,
         "hidden": False,
-        "card": {"name": name, "authors": ["A. <Author>"], "machine": "", "kind": "plans"},
+        "card": {
+            "benchmark": problem_sets.load_benchmark().title,
+            "name": name,
+            "authors": ["A. <Author>"],
+            "machine": "",
+            "kind": "plans",
+        },
         "entered": sorted({row["set"] for row in rows}),
         "physics": {"angler-mjx": "0.2.0", "commit": None},
         "judged_on": "cpu",
+        "planned_on": {"machine": "", "factor": 1.0},
         "scores": rows,
     } | more
 
@@ -193,12 +201,13 @@ def test_the_board_states_physics_machine_factor_and_time_limits(tmp_path):
         tmp_path,
         "a",
         planned_on={"machine": "A Core", "factor": 1.37},
+        rows=[ROWS[0] | {"time_factor": 1.37}, ROWS[1] | {"time_factor": 1.004}],
         physics={"angler-mjx": "0.2.0", "commit": "0123456789abcdef"},
     )
     page = board.build_board([path], tmp_path / "board", baselines=False).read_text()
     assert page.count("Physics: angler-mjx 0.2.0.") == 1
     assert page.count("angler-mjx 0.2.0 (01234567)") == 1
-    assert "A Core, factor 1.37" in page
+    assert "A Core, factors 1.00 to 1.37" in page
     limits = page.split("<th>time limit, s</th>")[1].split("</tr>")[0]
     assert re.findall(r"\d+", limits) == ["1", "2", "4", "8", "16", "32", "64"]
     assert "1,700 searches/s" in page
@@ -208,15 +217,16 @@ def test_the_board_states_physics_machine_factor_and_time_limits(tmp_path):
 
 
 def test_the_board_links_pages_of_submissions_on_the_web_alone(tmp_path):
-    urls = ["https://a.example/?x=1&y=2", "javascript:alert(1)", ""]
     paths = []
-    for name, url in zip("abc", urls, strict=True):
+    for name, url in (("a", "https://a.example/?x=1&y=2"), ("b", "")):
         card = {**result(name)["card"], "url": url}
         paths.append(write(tmp_path, name, card=card))
     page = board.build_board(paths, tmp_path / "board", baselines=False).read_text()
     assert '<a href="https://a.example/?x=1&amp;y=2">page</a>' in page
     assert page.count(">page</a>") == 1
-    assert "javascript:" not in page
+    card = {**result("c")["card"], "url": "javascript:alert(1)"}
+    with pytest.raises(ConfigError, match=r"card\.url = .javascript"):
+        board.build_board([write(tmp_path, "c", card=card)], tmp_path / "board", baselines=False)
 
 
 def test_a_result_with_the_name_of_a_baseline_stands_beside_it(tmp_path):
@@ -247,7 +257,40 @@ def test_boards_of_two_results_with_one_name_or_in_a_strange_folder_are_refused(
         board.build_board([], tmp_path / "board", baselines=False)
 
 
-def test_hidden_problems_stand_apart_on_the_board(tmp_path):
-    paths = [write(tmp_path, "a"), write(tmp_path, "b", hidden=True)]
+def test_submissions_that_cannot_be_compared_stand_in_tables_of_their_own(tmp_path):
+    flying = {**result("d")["card"], "kind": "in_flight", "in_flight": {"policy": {"name": "mppi"}}}
+    paths = [
+        write(tmp_path, "a"),
+        write(tmp_path, "b", hidden=True, problems_sha256="b" * 64),
+        write(tmp_path, "c", hidden=True, problems_sha256="c" * 64),
+        write(tmp_path, "d", card=flying),
+    ]
     page = board.build_board(paths, tmp_path / "board", baselines=False).read_text()
-    assert page.index("Public problems") < page.index("Hidden problems")
+    heads = re.findall(r"<h2>(.*?)</h2>", page)
+    assert heads[:4] == [
+        "Public problems, part of the sets",
+        "Public problems, in flight, part of the sets",
+        "Hidden problems bbbbbbbb, part of the sets",
+        "Hidden problems cccccccc, part of the sets",
+    ]
+    tables = page.split("<h2>")[1:5]
+    for name, table in zip("adbc", tables, strict=True):
+        assert f"<td>{name}</td>" in table
+        assert table.count("<th>planner</th>") == 2
+        assert ("their time has no limit" in table) == (name == "d")
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ({"scores": []}, "scores"),
+        ({"scores": [{**ROWS[0], "solved": "yes"}]}, r"scores\[0\]\.solved"),
+        ({"planned_on": {"machine": "a"}}, "factor"),
+        ({"problems_sha256": None}, "problems_sha256"),
+    ],
+)
+def test_a_result_with_a_fault_is_refused_by_its_key(tmp_path, change, fault):
+    path = write(tmp_path, "a", **change)
+    with pytest.raises(ConfigError, match=fault):
+        board.build_board([path], tmp_path / "board", baselines=False)
+    assert not (tmp_path / "board").exists()

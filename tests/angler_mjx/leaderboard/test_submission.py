@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import zarr
+from pydantic import ValidationError
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.leaderboard import problem_sets, submission
@@ -22,9 +23,13 @@ def read(tmp_path, problems, sets, manifest):
         change(arrays, attributes)
         write_plans(tmp_path, NAME, arrays, attributes)
         path = tmp_path / "plans" / f"{NAME}.zarr"
-        return submission.read_plans(path, sets[NAME], manifest.find(NAME), 64)
+        return submission.read_plans(path, sets[NAME], manifest.find(NAME), seed(problems), 64)
 
     return read
+
+
+def seed(problems):
+    return zarr.open_group(problems / f"{NAME}.zarr", mode="r").attrs["seed"]
 
 
 def test_plans_are_read_as_they_were_written(read, problems):
@@ -38,6 +43,15 @@ def test_plans_are_read_as_they_were_written(read, problems):
 
 def wrong_digest(arrays, attributes):
     attributes["digest"] = "0" * 64
+
+
+def other_seed(arrays, attributes):
+    """Known and observed problems of a kind differ in their seed alone."""
+    attributes["seed"] += 1
+
+
+def no_seed(arrays, attributes):
+    del attributes["seed"]
 
 
 def no_schema(arrays, attributes):
@@ -74,6 +88,8 @@ def velocity_alone(arrays, attributes):
     ("change", "reason"),
     [
         (wrong_digest, "digest is '000000000000', that of the problems is"),
+        (other_seed, "its plans are of other problems"),
+        (no_seed, "seed is None, that of the problems is"),
         (no_schema, "holds no plans of schema version 1"),
         (edited_hash, "sha256 differs from that of the frozen problems"),
         (one_world, "must be"),
@@ -91,6 +107,27 @@ def test_a_file_that_cannot_be_used_fails_its_problems_with_the_reason(read, cha
     assert not rows.arrays["points"].any()
 
 
+@pytest.mark.parametrize("name", ["velocity", "degree"])
+def test_a_path_that_bends_fails_its_problem_alone(read, name):
+    """It would be faster between its points than the cruise speed."""
+
+    def bend(arrays, attributes):
+        shape = arrays["time_s"].shape
+        arrays["yaw_rad"] = np.zeros(shape, "f4")
+        arrays["velocity"] = np.zeros((*shape, 4), "f4")
+        arrays["acceleration"] = np.zeros((*shape, 4), "f4")
+        if name == "degree":
+            arrays["degree"] = np.ones(shape, "i4")
+            arrays["degree"][1, 0, 1] = 3
+
+    rows = read(bend)
+    bent = "robot 0: path with velocities or of a degree above 1; paths lead straight from point "
+    bent += "to point"
+    assert list(rows.faults) == ([bent] * 2 if name == "velocity" else ["", bent])
+    assert rows.arrays["points"].tolist() == ([[0], [0]] if name == "velocity" else [[2], [0]])
+    assert set(rows.arrays) == {"points", "time_s", "position_m", "yaw_rad"}
+
+
 def test_plans_are_flown_with_the_cruise_speed_as_limit_over_ground(
     tmp_path, read, benchmark, sets
 ):
@@ -101,7 +138,7 @@ def test_plans_are_flown_with_the_cruise_speed_as_limit_over_ground(
 
 def test_a_file_that_is_missing_or_no_file_fails_its_problems(tmp_path, sets, manifest):
     path = tmp_path / "plans" / f"{NAME}.zarr"
-    arguments = (sets[NAME], manifest.find(NAME), 64)
+    arguments = (sets[NAME], manifest.find(NAME), 1, 64)
     assert set(submission.read_plans(path, *arguments).faults) == {f"{NAME}.zarr is missing"}
     path.mkdir(parents=True)
     (path / "zarr.json").write_text("{]")
@@ -129,7 +166,7 @@ def test_a_damaged_chunk_fails_its_problem_alone(tmp_path, problems, sets, manif
     path = tmp_path / "plans" / f"{NAME}.zarr"
     zarr.open_group(path).create_array("time_s", data=times, chunks=(1, 1, 2), compressors=None)
     (path / "time_s/c/1/0/0").write_bytes(b"cut")
-    rows = submission.read_plans(path, sets[NAME], manifest.find(NAME), 64)
+    rows = submission.read_plans(path, sets[NAME], manifest.find(NAME), seed(problems), 64)
     assert rows.faults[0] == ""
     assert rows.faults[1].startswith(f"{NAME}.zarr/time_s: cannot be read")
     np.testing.assert_array_equal(rows.arrays["time_s"][0], times[0])
@@ -192,6 +229,7 @@ def test_no_code_of_a_card_runs_in_the_judges_process(tmp_path, part):
     (tmp_path / "card.toml").write_text(
         'schema_version = 1\nbenchmark = "ANGLER-1 1.0"\nname = "a"\nkind = "in_flight"\n'
         f'[in_flight]\n{part} = {{ name = "{code}:Planner" }}\n'
+        + ('policy = { name = "mppi" }\n' if part == "planner" else "")
     )
     with pytest.raises(ConfigError, match=rf"in_flight\.{part}: name = .*is a class of a file"):
         submission.read_card(tmp_path)
@@ -204,3 +242,24 @@ def test_a_card_with_a_table_of_another_kind_is_refused(tmp_path):
         file.write('[in_flight]\npolicy = { name = "mppi" }\n')
     with pytest.raises(ConfigError, match=r"the table \[in_flight\]"):
         submission.read_card(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({}, "commands nothing in flight"),
+        ({"planner": {"name": "RRTConnect"}}, "commands nothing in flight"),
+        ({"planner": {"name": "grid", "replan_hz": 0.0}}, "commands nothing in flight"),
+        (
+            {"planner": {"replan_hz": 1.0, "deadline_s": 86400.0}},
+            "deadline_s is given by the bench",
+        ),
+        ({"policy": {"name": "mppi"}, "planner": {"points": 512}}, "points is given by the bench"),
+    ],
+)
+def test_plans_made_before_the_flight_do_not_enter_in_flight(table, message):
+    """Nothing would limit the time of their planning."""
+    with pytest.raises(ValidationError, match=message):
+        submission.InFlightConfig(**table)
+    flown = submission.InFlightConfig(planner={"name": "grid", "replan_hz": 1.0})
+    assert flown.planner["replan_hz"] == 1.0

@@ -21,7 +21,7 @@ from angler_mjx.progress import Progress
 from angler_mjx.runs.rollout import resume, rollout
 from angler_mjx.runs.simulator.host_planning import planning_status
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage.plans import problems
+from angler_mjx.runs.storage.plans import problems, read
 from angler_mjx.runs.storage.plans import write as plan_writer
 from angler_mjx.runs.storage.plans.read import open_plans, summarise_plan_file
 from angler_mjx.sim.information import Information
@@ -294,6 +294,22 @@ def test_a_path_that_cannot_be_flown_is_none_with_its_reason(asked, given, plann
         np.testing.assert_array_equal(
             found.position_m[0, 0], found.position_m[0, 0, :1].repeat(32, 0)
         )
+
+
+@pytest.mark.parametrize(
+    ("name", "point", "is_fault"),
+    [("yaw_rad", 0, True), ("velocity", 1, True), ("velocity", 2, False)],
+)
+def test_headings_and_velocities_must_be_numbers_too(name, point, is_fault):
+    """What follows a path's points is not read."""
+    time = np.array([[[0.0, 10.0, 0.0]]])
+    position_m = np.zeros((1, 1, 3, 3))
+    motion = {"yaw_rad": np.zeros((1, 1, 3, 1)), "velocity": np.zeros((1, 1, 3, 4))}
+    motion[name][0, 0, point, -1] = np.inf
+    faults = read._path_faults(
+        np.array([[2]]), time, position_m, position_m[:, :, 0], np.array([[0.5]]), 60.0, motion
+    )
+    assert faults.tolist() == [["has NaN or infinite numbers" if is_fault else ""]]
 
 
 @pytest.fixture(scope="module")

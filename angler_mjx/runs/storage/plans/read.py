@@ -108,6 +108,7 @@ class PlanFile:
             start,
             self._speed_limit_mps(worlds, simulator.scenario),
             simulator.scenario.time.horizon_s,
+            motion or {},
         )
         is_found = (count > 0) & (faults == "")
         reasons = np.full(count.shape, "", object) if reason is None else reason
@@ -402,12 +403,25 @@ def _path_faults(
     start: np.ndarray,
     speed: np.ndarray,
     horizon_s: float,
+    motion: Mapping[str, np.ndarray],
 ) -> np.ndarray:
-    """Return the fault of each path, text [w, r]; empty where it can be flown or is missing."""
+    """Return the fault of each path, text [w, r]; empty where it can be flown or is missing.
+
+    Args:
+        count: points of each path, [w, r].
+        time: s, [w, r, point].
+        position_m: m, W, [w, r, point, 3].
+        start: of the robots, m, W, [w, r, 3].
+        speed: greatest speed over ground, m/s, [w, r].
+        horizon_s: end of the worlds, s.
+        motion: further numbers at the points, [w, r, point, ...] each.
+    """
     points = time.shape[-1]
     is_point = np.arange(points) < count[..., None]
     with np.errstate(invalid="ignore"):
         finite = np.isfinite(time) & np.isfinite(position_m).all(axis=-1)
+        for values in motion.values():
+            finite &= np.isfinite(values).reshape(*time.shape, -1).all(axis=-1)
         span = np.where(is_point[..., 1:], np.diff(time), 0.0)
         distance_m = np.where(
             is_point[..., 1:], np.linalg.norm(np.diff(position_m, axis=2), axis=-1), 0.0
