@@ -104,16 +104,22 @@ def split(line):
 def _lines():
     """Page and text of all that is printed to be typed."""
     for page in PAGES:
-        text, name = page.read_text(encoding="utf-8"), page.relative_to(ROOT).as_posix()
-        for block in BLOCK.findall(text):
-            for line in block.replace("\\\n", " ").splitlines():
-                yield name, line.strip()
-        rest = FENCED.sub("", text)
-        yield from ((name, line) for line in INDENTED.findall(rest.replace("\\\n", " ")))
-        for span in INLINE.findall(rest):
-            line = " ".join(span.split())
-            if FIRST.match(line) and _is_whole(line):
-                yield name, line
+        name = page.relative_to(ROOT).as_posix()
+        yield from ((name, line) for line, _ in lines_of(page))
+
+
+def lines_of(page):
+    """Lines that a page prints to be typed, and whether each stands in a block."""
+    text = page.read_text(encoding="utf-8")
+    for block in BLOCK.findall(text):
+        for line in block.replace("\\\n", " ").splitlines():
+            yield line.strip(), True
+    rest = FENCED.sub("", text)
+    yield from ((line, True) for line in INDENTED.findall(rest.replace("\\\n", " ")))
+    for span in INLINE.findall(rest):
+        line = " ".join(span.split())
+        if FIRST.match(line) and _is_whole(line):
+            yield line, False
 
 
 def _is_whole(line):

@@ -267,6 +267,18 @@ def test_sums_are_those_that_sha256sum_reads(tmp_path):
     subprocess.run(["sha256sum", "-c", "--quiet", "SHA256SUMS"], cwd=tmp_path, check=True)
 
 
+def test_a_release_holds_the_files_that_install_names():
+    """Beside what is built: an image is made from the folder of a release alone."""
+    text = (ROOT / "docs" / "how_to" / "install.md").read_text(encoding="utf-8")
+    listed = re.search(r"^A release is a folder of (.*?)\. Python", text, re.M | re.S)[1]
+    named = set(re.findall(r"`([\w.]+)`", listed))
+    assert named == {*release.COPIED, release.BILL, release.SUMS}
+    assert all((ROOT / name).is_file() for name in release.COPIED)
+    files = set(re.findall(r"podman build --file (\S+)", text))
+    assert {name.removeprefix("dist/") for name in files} <= set(release.COPIED)
+    assert all(name.startswith("dist/") for name in files)
+
+
 def test_the_tools_of_a_release_are_pinned():
     text = (ROOT / "tools" / "release" / "requirements.txt").read_text()
     pins = [line for line in text.splitlines() if not line.startswith("#")]

@@ -23,6 +23,8 @@ from tools.release.processes import (
 ROOT = Path(__file__).resolve().parents[2]
 REQUIREMENTS = Path(__file__).with_name("requirements.txt")
 CONSTRAINTS, BILL, SUMS = "constraints.txt", "sbom.cdx.json", "SHA256SUMS"
+COPIED = (CONSTRAINTS, "Containerfile")
+"""Files of the commit that a release holds beside what is built."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +87,8 @@ def make_release(
     files = build_distributions(source, made / "dist", programs / "python", environment)
     _judge_files(files, commit, programs / "twine", made, environment)
     print(f"release: built and judged, {time.monotonic() - start:.0f} s", flush=True)
-    shutil.copy(source / CONSTRAINTS, made / "dist")
+    for name in COPIED:
+        shutil.copy(source / name, made / "dist")
     if options.trial:
         fresh = clean_environment(made / "stranger")
         tried = trial.try_release(
