@@ -1,8 +1,10 @@
 """Pages of reference equal the models that they are made from."""
 
+import builtins
 import importlib
 import importlib.util
 import re
+import symtable
 from pathlib import Path
 
 import pytest
@@ -144,3 +146,66 @@ def test_a_printed_import_leads_to_what_is_there_today(module, name):
         pytest.importorskip("torch")
     home = importlib.import_module(module)
     assert hasattr(home, name) or importlib.util.find_spec(f"{module}.{name}")
+
+
+PYTHON = re.compile(r"^( *)```python\n(.*?)^ *```", re.M | re.S)
+SAVED_AS = re.compile(r"(?:into|as) `\w+\.py`[^`]*(?:`[^`]*`[^`]*)?$")
+"""End of a text after which a block is a file of its own."""
+
+
+def python_blocks(text):
+    """Yield the Python blocks of a page, and whether each is a file of its own.
+
+    Examples with prompts are left out: `test_readme.py` runs them.
+    """
+    end = 0
+    for found in PYTHON.finditer(text):
+        before, end = text[end : found.start()].strip(), found.end()
+        code = re.sub(rf"(?m)^{found[1]}", "", found[2])
+        if ">>>" not in code:
+            yield code, SAVED_AS.search(before.rpartition("\n\n")[2]) is not None
+
+
+def bound_and_undefined(code, bound):
+    """Names that code binds, and those that it reads though neither it nor others bind them."""
+    top = symtable.symtable(code, "page", "exec")
+    binds = {s.get_name() for s in top.get_symbols() if s.is_assigned() or s.is_imported()}
+    reads, tables = set(), [top]
+    while tables:
+        table = tables.pop()
+        tables += table.get_children()
+        reads |= {
+            s.get_name()
+            for s in table.get_symbols()
+            if s.is_referenced() and (table is top or s.is_global())
+        }
+    return binds, reads - binds - bound - set(dir(builtins))
+
+
+def undefined_names(text):
+    """Names that the blocks of a page, typed one after another, read and do not define."""
+    page, missing = set(), set()
+    for code, is_file in python_blocks(text):
+        binds, undefined = bound_and_undefined(code, set() if is_file else page)
+        page |= set() if is_file else binds
+        missing |= undefined
+    return missing
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_printed_python_defines_what_it_reads(page):
+    assert undefined_names(page.read_text(encoding="utf-8")) == set()
+
+
+@pytest.mark.parametrize(
+    ("text", "missing"),
+    [
+        ("```python\nx = 1\n```\nand\n```python\nprint(x)\n```\n", set()),
+        ("```python\nprint(x)\n```\nand\n```python\nx = 1\n```\n", {"x"}),
+        ("Put this into `a.py`:\n\n```python\nx = 1\n```\n\n```python\nx\n```\n", {"x"}),
+        ("```python\nclass A:\n    def f(self):\n        return [y for y in z]\n```\n", {"z"}),
+        ("```python\n>>> x\n```\n", set()),
+    ],
+)
+def test_an_undefined_name_is_found(text, missing):
+    assert undefined_names(text) == missing

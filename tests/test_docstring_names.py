@@ -1,4 +1,4 @@
-"""Dotted names in docstrings, such as `module.function`, resolve to names of the code.
+"""Dotted names in docstrings and pages, such as `module.function`, resolve to names of the code.
 
 A name is checked if it begins with a module or class of ours. Only the source is read.
 """
@@ -127,6 +127,30 @@ def test_names_in_docstrings_resolve():
     stale = stale_names(Index(read_sources()))
     assert {name: modules for name, modules in stale.items() if name not in OTHERS} == {}
     assert set(OTHERS) <= set(stale), "these are gone: remove them from OTHERS"
+
+
+PAGES = (
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md")),
+    *(ROOT / name / "README.md" for name in ("experiments", "kernels", "sitl_bridge")),
+    *sorted((ROOT / "docs").rglob("*.md")),
+)
+GROUPS = {"angler_mjx.planners": "a group of entry points"}
+"""Names on pages that only look like those of a module, each with its meaning."""
+
+
+def test_dotted_names_on_pages_resolve():
+    """Those that begin with one of our packages; paths of before, which still import, do not."""
+    index, missing, seen = Index(read_sources()), defaultdict(set), set()
+    packages = "|".join(name for name in FOLDERS if name != "tools")
+    for page in PAGES:
+        text = re.sub(r"(?ms)^ *```.*?^ *```", "", page.read_text(encoding="utf-8"))
+        for span in re.findall(r"`([^`]+)`", text):
+            for name in re.findall(rf"(?<![\w./])(?:{packages})(?:\.\w+)+", span):
+                seen.add(name)
+                if name.split(".")[-1] not in SUFFIXES and not index.resolves(name):
+                    missing[name].add(page.relative_to(ROOT).as_posix())
+    assert {name: pages for name, pages in missing.items() if name not in GROUPS} == {}
+    assert len(seen) > 40
 
 
 SAMPLE = {
