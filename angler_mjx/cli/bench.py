@@ -38,9 +38,9 @@ def bench(
     """Measure the speed of this machine; or compare, plot or tabulate measured results.
 
     Args:
-        workload: dynamics, closed_loop_8, reef_fleet, mjx, recording, preparation, env_generation,
-            clearance, search, compile, or scenarios by name or path, one or several; the profile's
-            if left out.
+        workload: dynamics, dynamics_arm, closed_loop_8, reef_fleet, mjx, recording, preparation,
+            env_generation, clearance, search, compile, or scenarios by name or path, one or
+            several; the profile's if left out.
         scenario: Scenarios of --workload compile, by name or path; if left out, all shipped ones,
             or with --profile full and paper some teams and numbers of worlds.
         worlds: Worlds in one device call; one row for each number, as in --worlds 64 1024; the

@@ -37,8 +37,8 @@ def fleet_size(
     its budget is spent. docs/how_to/fleet_size.md explains the file and the results.
 
     Args:
-        source: Name of a shipped study (survey_reef, delivery_corridor, reef_crossing), or a file
-            (.toml).
+        source: Name of a shipped study (survey_reef, delivery_corridor, reef_crossing, carry_pipe),
+            or a file (.toml).
         out: Folder to make; runs/NAME if left out, runs/NAME-smoke with --smoke.
         only: Names of the conditions to study; all of the file if left out.
         batch: Number of worlds of one size and condition at a time; the file's if left out.

@@ -1,9 +1,11 @@
 """The studies that ship can be asked, for every size and condition."""
 
+import re
 from pathlib import Path
 
 import pytest
 
+from angler_mjx.cli.studies.fleet_size import fleet_size
 from angler_mjx.shipped import list_shipped
 from angler_mjx.studies.fleet_size import conditions
 
@@ -37,3 +39,12 @@ def test_tasks_are_asked_in_currents_with_breakdowns_and_acoustics():
         assert study.sizes == tuple(range(1, 65))
         smoke = conditions.read_study(Path(study.source), smoke=True)
         assert (smoke.sizes, smoke.config.budget.max_worlds) == ((1, 8), 4)
+
+
+def test_help_and_page_name_every_study():
+    names = {path.stem for path in FILES}
+    listed = re.search(r"Name of a shipped study \((.*?)\)", " ".join(fleet_size.__doc__.split()))
+    assert set(listed[1].split(", ")) == names
+    page = Path(__file__).parents[4] / "docs" / "how_to" / "fleet_size.md"
+    rows = re.findall(r"^\| `(\w+)\.toml` \|", page.read_text(encoding="utf-8"), re.M)
+    assert sorted(rows) == sorted(names)

@@ -1,3 +1,4 @@
+import re
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from angler_mjx.cli.bench import bench
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.progress import Progress
@@ -596,3 +598,23 @@ def test_one_thing_at_a_time(capsys, rows_file):
 
 def test_every_workload_says_what_it_is():
     assert all(workload.about for workload in WORKLOADS.values())
+
+
+def test_help_and_page_name_every_workload():
+    listed = re.search(r"workload: (.*?), or scenarios by name", " ".join(bench.__doc__.split()))
+    assert listed[1].split(", ") == list(WORKLOADS)
+    page = Path(__file__).parents[4] / "docs" / "explanation" / "performance.md"
+    table = page.read_text(encoding="utf-8").partition("| workload |")[2].partition("\n\n")[0]
+    assert sorted(re.findall(r"^\| `(\w+)` \|", table, re.M)) == sorted(WORKLOADS)
+
+
+def test_the_page_says_which_workloads_a_profile_has():
+    page = Path(__file__).parents[4] / "docs" / "explanation" / "performance.md"
+    text = " ".join(page.read_text(encoding="utf-8").split())
+    pattern = r"`--profile quick` measures (.*?) with 64 worlds\. .* measure all but (.*?), which"
+    quick, left_out = re.search(pattern, text).groups()
+    assert PROFILES["quick"].worlds == (64,)
+    assert set(re.findall(r"`(\w+)`", quick)) == set(PROFILES["quick"].workloads)
+    for profile in ("full", "paper"):
+        rest = set(WORKLOADS) - set(PROFILES[profile].workloads)
+        assert set(re.findall(r"`(\w+)`", left_out)) == rest
