@@ -4,6 +4,7 @@ import builtins
 import importlib
 import importlib.util
 import re
+import subprocess
 import symtable
 from pathlib import Path
 
@@ -209,3 +210,35 @@ def test_printed_python_defines_what_it_reads(page):
 )
 def test_an_undefined_name_is_found(text, missing):
     assert undefined_names(text) == missing
+
+
+COMMIT = re.compile(r"(?<![\w/])(?=[0-9a-f]*[a-f])(?=[0-9a-f]*\d)[0-9a-f]{7,40}\b")
+OTHER_COMMITS = {
+    "812fea6": "Robotic-Decision-Making-Lab/blue",
+    "29073ec": "Robotic-Decision-Making-Lab/blue, pull request 365",
+    "ce089e9": "Robotic-Decision-Making-Lab/blue, pull request 365",
+    "5182630": "JBVAkshaya/blue",
+    "e6d98a1": "JBVAkshaya/PlanningOnManifoldIntersection",
+}
+"""Commits of other repositories that pages cite."""
+
+
+def test_cited_commits_exist():
+    """Generated pages and the changelog keep what stood there when they were written."""
+    listed = ["git", "-C", str(ROOT), "rev-list", "--all"]
+    done = subprocess.run(listed, capture_output=True, text=True, check=False)
+    if done.returncode or (ROOT / ".git" / "shallow").exists():
+        pytest.skip("no git repository with its history")
+    commits, cited = done.stdout.split(), {}
+    for page in PAGES:
+        if "generated" in page.parts or page.name == "CHANGELOG.md":
+            continue
+        for found in COMMIT.findall(page.read_text(encoding="utf-8")):
+            cited[found] = page.relative_to(ROOT).as_posix()
+    unknown = {
+        name: page
+        for name, page in cited.items()
+        if name not in OTHER_COMMITS and not any(commit.startswith(name) for commit in commits)
+    }
+    assert unknown == {}
+    assert len(cited) > 10
