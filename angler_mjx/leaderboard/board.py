@@ -94,15 +94,15 @@ def build_board(results: Sequence[Path], out: Path, *, baselines: bool) -> Path:
             "angler leaderboard build: no results; name folders of angler leaderboard check"
         )
     tables, stored_tables = ([checking.read_result(path) for path in p] for p in (results, stored))
-    names: dict[str, Path] = {}
+    names: dict[tuple[str, str], Path] = {}
     for table, path in zip(tables, results, strict=True):
-        name = f"{table['card']['name']} ({'hidden' if table['hidden'] else 'public'})"
-        if name in names:
+        name = table["card"]["name"]
+        if other := names.get((name, table["problems_sha256"])):
             raise ConfigError(
-                f"{path}: is called {name!r}, as {names[name]} is; leave one out, or give it "
-                f"another name in its {submission.CARD} and check it again"
+                f"{path}: is called {name!r}, as {other} is, of the same problems; leave one out, "
+                f"or give it another name in its {submission.CARD} and check it again"
             )
-        names[name] = path
+        names[name, table["problems_sha256"]] = path
     if out.exists() and not (out / PAGE).is_file():
         raise ConfigError(f"{out}: is no board; choose another folder")
     shutil.rmtree(out / RESULTS, ignore_errors=True)
@@ -125,12 +125,13 @@ def format_board(
     """Return the page of results and baselines, whose copies stand in this order in `RESULTS`."""
     benchmark = problem_sets.load_benchmark()
     every = problem_sets.list_problem_sets(benchmark)
+    problems = sum(entry.problems for entry in every)
     entries = [
         BoardEntry(
             table=table,
             source=f"{RESULTS}/{number:03d}.json",
             tiers={tier.name: tier for tier in score_tiers(table["scores"])},
-            is_whole=len(set(table["entered"])) == len(every),
+            is_whole=len(table["scores"]) == problems,
             is_baseline=number >= len(results),
         )
         for number, table in enumerate([*results, *baselines])
@@ -140,7 +141,6 @@ def format_board(
         groups.setdefault(entry.place, []).append(entry)
     sections = [_format_group(group, place) for place, group in groups.items()]
     versions = sorted({f"angler-mjx {e.table['physics']['angler-mjx']}" for e in entries})
-    problems = sum(entry.problems for entry in every)
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -192,7 +192,7 @@ class BoardEntry:
     tiers: Mapping[str, TierScore]
     """Scores by names of tiers; without those that it did not enter."""
     is_whole: bool
-    """Whether all sets are entered."""
+    """Whether all problems were judged."""
     is_baseline: bool
     """Whether it is a stored result of the package's planners."""
 

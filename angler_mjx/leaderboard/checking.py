@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from angler_mjx import __version__
-from angler_mjx.errors import AnglerError, ConfigError
+from angler_mjx.errors import AnglerError, ConfigError, format_value
 from angler_mjx.files import FileModel, parse_model
 from angler_mjx.leaderboard import problem_files, problem_sets, sandbox, submission
 from angler_mjx.leaderboard.problem_files import ProblemManifest
@@ -58,7 +58,7 @@ class ProblemScore(FileModel):
     arrived: int
     makespan_s: float | None
     """Arrival of the last robot; null unless solved."""
-    bound_s: float
+    bound_s: Annotated[float, Field(gt=0)]
     """Time of the longest straight line from start to goal at cruise speed: no makespan is less
     in still water."""
     energy_j: float
@@ -67,10 +67,20 @@ class ProblemScore(FileModel):
     """Least distance of any robot to rock, floor, obstacles and other robots; null unless flown."""
     planning_s: float | None
     """Planning time, over the factor of its machine; null if it is not known."""
-    time_factor: float
+    time_factor: Annotated[float, Field(gt=0)]
     """Factor that the planning time was divided by."""
     reason: str
     """Why it is not solved; empty if it is."""
+
+    @model_validator(mode="after")
+    def _require_consistent(self) -> Self:
+        is_arrival = self.makespan_s is not None and self.arrived == self.robots
+        if self.solved != (self.reason == "") or (self.solved and not is_arrival):
+            raise ValueError(
+                "a solved problem has no reason, a makespan_s, and all robots arrived; "
+                "another has a reason"
+            )
+        return self
 
 
 class Physics(FileModel):
@@ -100,6 +110,38 @@ class CheckResult(FileModel):
     judged_on: str
     planned_on: PlanningMachine
     scores: Annotated[tuple[ProblemScore, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _require_problems(self) -> Self:
+        """Refuse scores that are of none of the entered sets' problems, or twice of one."""
+        sets = {
+            entry.name: entry
+            for entry in problem_sets.list_problem_sets(problem_sets.load_benchmark())
+        }
+        if unknown := [name for name in self.entered if name not in sets]:
+            raise ValueError(f"entered: there is no problem set {format_value(unknown[0])}")
+        robots = {
+            problem: entry.robots
+            for name in self.entered
+            for entry in [sets[name]]
+            for problem in entry.problem_names()
+        }
+        seen: set[str] = set()
+        for score in self.scores:
+            stated = (score.problem.rpartition("/")[0], score.robots)
+            if stated != (score.set, robots.get(score.problem)) or score.problem in seen:
+                raise ValueError(
+                    f"scores: {format_value(score.problem)} is no problem of the entered sets, is "
+                    "there twice, or has another set or number of robots"
+                )
+            seen.add(score.problem)
+        public = problem_files.public_manifest().sha256()
+        if self.hidden == (self.problems_sha256 == public):
+            raise ValueError(
+                f"hidden = {format_value(self.hidden)}, but problems_sha256 is "
+                f"{'that' if self.hidden else 'not that'} of the public problems"
+            )
+        return self
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,12 +210,17 @@ def check_submission(
     entries = [entry for entry in entered if entry.name in chosen]
     if not entries:
         raise ConfigError(f"--sets {' '.join(sets)}: {source} enters none of them")
+    if special := submission.find_special_file(source, links=True):
+        raise ConfigError(f"{special}: is a pipe or device; a submission holds files and folders")
     if card.kind == "program":
+        program = source / sandbox.FOLDER
+        if program.is_symlink() or not program.is_dir():
+            raise ConfigError(f"{program}: must be a folder, with the program of the card")
         sandbox.require_sandbox()
         progress.describe("measuring this machine")
         time_factor = graph_search.measure_time_factor()
     else:
-        time_factor = card.machine_factor
+        time_factor = card.machine_factor if card.kind == "plans" else 1.0
     request = {
         "submission": checksums.hash_folder(source),
         "problems": manifest.sha256(),
@@ -276,10 +323,20 @@ def _collect_plans(
             )
             continue
         if card.program is not None:
-            problems = building / PROBLEMS
-            rows = sandbox.plan_set(
-                source, card.program, entry, scenario, record, problems, time_factor
-            )
+            # An interrupted check goes on with the plans, times and faults that it has.
+            stored = building / ANSWERS / f"{entry.name}.npz"
+            if not stored.exists():
+                rows = sandbox.plan_set(
+                    source,
+                    card.program,
+                    entry,
+                    scenario,
+                    record,
+                    building / PROBLEMS,
+                    time_factor,
+                )
+                submission.store_rows(stored, rows)
+            rows = submission.load_rows(stored)
         else:
             path = source / submission.PLANS / f"{entry.name}.zarr"
             seed = problem_files.printed_seed(scenario, secret)
@@ -308,7 +365,7 @@ def build_flown_scenario(scenario: Scenario, config: InFlightConfig, source: str
     """
     levels = scenario.planner.information.model_dump()
     policy = dict(config.policy)
-    if not policy.get("name"):
+    if not config.has_policy:
         return build_planned_scenario(scenario, config.planner, source, dict(config.execution))
     policy["information"] = limit_information(levels, policy.get("information"))
     table = scenario_table(scenario)

@@ -102,14 +102,16 @@ def plan_submission(
             entry=entry,
             path=out / submission.PLANS / f"{entry.name}.zarr",
             scenario=build_planned_scenario(
-                problem_files.build_set_scenario(
-                    benchmark, entry, manifest.find(entry.name).attempt, secret
-                ),
-                {**planner, "deadline_s": factor * entry.limit_s},
-                "planner",
+                scenario, {**planner, "deadline_s": factor * entry.limit_s}, "planner"
             ),
+            seed=problem_files.printed_seed(scenario, secret),
         )
         for entry in waiting
+        for scenario in [
+            problem_files.build_set_scenario(
+                benchmark, entry, manifest.find(entry.name).attempt, secret
+            )
+        ]
     ]
     _plan_sets(parts, processes, workers, progress)
 
@@ -123,6 +125,8 @@ class SetToPlan:
     """Of the file to make."""
     scenario: Scenario
     """With the planner."""
+    seed: int
+    """That the file states."""
 
     @property
     def kind(self) -> Hashable:
@@ -223,7 +227,9 @@ def _plan_on_host(part: SetToPlan, workers: int | None) -> None:
     simulator = Simulator(part.scenario, devices=1, workers=workers)
     try:
         is_begun = output_lock.partial_path(part.path).exists()
-        plan_writer.plan_worlds(part.path, part.scenario, simulator, resume=is_begun)
+        plan_writer.plan_worlds(
+            part.path, part.scenario, simulator, resume=is_begun, seed=part.seed
+        )
     finally:
         simulator.close()
 
@@ -257,7 +263,7 @@ class LoadedPlanner:
         is_found = np.asarray(plans.is_found(paths))
         is_begun = output_lock.partial_path(part.path).exists()
         writer = plan_writer.open_writer(
-            part.path, part.scenario, shape, resume=is_begun, tile=count
+            part.path, part.scenario, shape, resume=is_begun, tile=count, seed=part.seed
         )
         with writer.keeping():
             notes = PlanNotes(

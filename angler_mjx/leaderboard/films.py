@@ -61,9 +61,10 @@ def choose_flights(flown: list[ScoreRow]) -> dict[str, ScoreRow]:
     """Return the best and the worst of flown problems.
 
     The best is the solved one of the largest team with the least time over the straight line's. The
-    worst is the unsolved one with the least fraction of arrived robots, then the largest team; if
-    all are solved, the one with the most time over the straight line's. A single one is the best if
-    it is solved, else the worst.
+    worst is the unsolved one with the least fraction of arrived robots, then the largest team;
+    plans that are late or have a fault are chosen where no others failed. If all are solved, it is
+    the one with the most time over the straight line's. A single one is the best if it is solved,
+    else the worst.
 
     Args:
         flown: rows of a result, not empty.
@@ -75,7 +76,12 @@ def choose_flights(flown: list[ScoreRow]) -> dict[str, ScoreRow]:
         chosen["best"] = min(solved, key=lambda row: (-row["robots"], _time_ratio(row)))
     if failed:
         chosen["worst"] = min(
-            failed, key=lambda row: (row["arrived"] / row["robots"], -row["robots"])
+            failed,
+            key=lambda row: (
+                not str(row["reason"]).startswith("robot "),
+                row["arrived"] / row["robots"],
+                -row["robots"],
+            ),
         )
     elif len(solved) > 1:
         others = [row for row in solved if row is not chosen["best"]]

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import zarr
 
-from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.errors import AnglerError, ConfigError, RunError
 from angler_mjx.leaderboard import problem_sets
 from angler_mjx.leaderboard.problem_sets import FrozenBenchmark, ProblemSet
 from angler_mjx.planning.planner import PathShape
@@ -25,8 +25,8 @@ from angler_mjx.planning.problem import Problem
 from angler_mjx.progress import Progress
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage.atomic_files import write_json
-from angler_mjx.runs.storage.plans.problems import write_problems
-from angler_mjx.runs.storage.read_errors import read_table
+from angler_mjx.runs.storage.plans.problems import SCHEMA, write_problems
+from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.information import CurrentInformation
 
@@ -164,9 +164,11 @@ def write_problem_files(
         records = {record.name: record for record in stored.sets}
     progress.start(sum(entry.problems for entry in sets), unit="problems")
     for entry in sets:
+        known = None if frozen is None else frozen.find(entry.name)
+        if entry.name in records and known is not None:
+            _require_frozen(records[entry.name], known)
         if entry.name not in records or not (out / f"{entry.name}.zarr").exists():
             progress.describe(entry.name)
-            known = None if frozen is None else frozen.find(entry.name)
             records[entry.name] = _write_set(benchmark, entry, out, secret, known)
             manifest = _build_manifest(benchmark, records, secret)
             write_json(path, _manifest_table(manifest))
@@ -248,12 +250,22 @@ def _write_set(
     if frozen is not None:
         _require_frozen(record, frozen)
     path = out / f"{entry.name}.zarr"
-    if path.exists():  # of a call that was ended before it could write the manifest
+    if _holds_set(path, entry):  # of a call that was ended before it could write the manifest
         shutil.rmtree(path)
     extend = partial(_extend_group, benchmark, entry, secret, hashes)
     write_problems(path, simulator, raw=True, extend=extend)
     simulator.close()
     return record
+
+
+def _holds_set(path: Path, entry: ProblemSet) -> bool:
+    """Return whether a path is the file of a set, which can be made again."""
+    try:
+        with wrap_read_errors(path):
+            attributes = dict(zarr.open_group(path, mode="r").attrs)
+    except AnglerError:
+        return False
+    return (attributes.get("schema"), attributes.get("set")) == (SCHEMA, entry.name)
 
 
 def _bound_makespan_s(problem: Problem) -> float:

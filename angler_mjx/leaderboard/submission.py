@@ -7,6 +7,7 @@ What is wrong with a file makes its problems fail, with the reason; only a card 
 understood is refused.
 """
 
+import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -36,6 +37,10 @@ _OPTIONAL_WIDTHS = {"yaw_rad": 0, "velocity": 4, "acceleration": 4, "degree": 0}
 """Optional arrays of a file of plans, with the size of the axis behind that of the points."""
 _PINNED = ("deadline_s", "points")
 """Keys of a scenario's ``planner`` that are the benchmark's."""
+NO_POLICY = "none"
+"""Policy of robots that fly their plans."""
+MIN_REPLAN_HZ = 0.1
+"""Least rate at which a planner that enters in flight plans anew."""
 
 type Text = Annotated[str, Field(min_length=1, max_length=2000)]
 
@@ -70,12 +75,20 @@ class InFlightConfig(FileModel):
     @model_validator(mode="after")
     def _require_flight(self) -> Self:
         """Refuse planners that only plan before the flight: their time has a limit."""
-        if not self.policy.get("name") and not self.planner.get("replan_hz"):
+        rate = self.planner.get("replan_hz")
+        is_replanned = isinstance(rate, int | float) and rate >= MIN_REPLAN_HZ
+        if not self.has_policy and not is_replanned:
             raise ValueError(
-                "commands nothing in flight: give a policy, or a planner with replan_hz; plans "
-                'made before the flight are entered as kind = "plans" (angler leaderboard plan)'
+                "commands nothing in flight: give a policy, or a planner with replan_hz of at "
+                f"least {MIN_REPLAN_HZ:g}; plans made before the flight are entered as "
+                'kind = "plans" (angler leaderboard plan)'
             )
         return self
+
+    @property
+    def has_policy(self) -> bool:
+        """Return whether a policy commands the robots."""
+        return self.policy.get("name", NO_POLICY) not in ("", NO_POLICY)
 
     @field_validator("planner", "policy")
     @classmethod
@@ -113,6 +126,16 @@ class Card(FileModel):
     program: ProgramConfig | None = None
     in_flight: InFlightConfig | None = None
 
+    @model_validator(mode="after")
+    def _require_table(self) -> Self:
+        for kind, table in (("program", self.program), ("in_flight", self.in_flight)):
+            if (self.kind == kind) != (table is not None):
+                raise ValueError(
+                    f"kind = {format_value(self.kind)}: the table [{kind}] must be there for "
+                    f"kind = {format_value(kind)}, and for no other"
+                )
+        return self
+
 
 def read_card(folder: Path) -> Card:
     """Read the card of a submission.
@@ -130,12 +153,6 @@ def read_card(folder: Path) -> Card:
             f"{path}: benchmark = {format_value(card.benchmark)}: this program judges "
             f"{format_value(title)}"
         )
-    for kind, table in (("program", card.program), ("in_flight", card.in_flight)):
-        if (card.kind == kind) != (table is not None):
-            raise ConfigError(
-                f"{path}: kind = {format_value(card.kind)}: the table [{kind}] must be there for "
-                f"kind = {format_value(kind)}, and for no other"
-            )
     return card
 
 
@@ -166,6 +183,27 @@ class PlanRows:
     """What the file says of why robots have no path, by problem and robot."""
 
 
+def store_rows(path: Path, rows: PlanRows) -> None:
+    """Write the plans of a set with their times and faults, to go on with after an interruption."""
+    partial = path.with_suffix(".partial.npz")
+    arrays: dict[str, Any] = {f"plan/{name}": values for name, values in rows.arrays.items()}
+    np.savez(partial, planning_s=rows.planning_s, faults=np.array(rows.faults, str), **arrays)
+    partial.replace(path)
+
+
+def load_rows(path: Path) -> PlanRows:
+    """Read what `store_rows` wrote."""
+    with np.load(path, allow_pickle=False) as stored:
+        arrays = {
+            name.removeprefix("plan/"): stored[name]
+            for name in stored.files
+            if name.startswith("plan/")
+        }
+        return PlanRows(
+            arrays=arrays, planning_s=stored["planning_s"], faults=stored["faults"].tolist()
+        )
+
+
 def empty_rows(entry: ProblemSet, reason: str) -> PlanRows:
     """Return rows without a path, whose problems all fail for a reason."""
     shape = (entry.problems, entry.robots)
@@ -194,11 +232,36 @@ def read_plans(
     """
     if not path.exists():
         return empty_rows(entry, f"{path.name} is missing")
+    if path.is_symlink() or (special := find_special_file(path, links=False)):
+        name = path.name if path.is_symlink() else special
+        return empty_rows(entry, f"{name} is a link, pipe or device")
     try:
         with wrap_read_errors(Path(path.name)):
             return _read_group(path, entry, record, seed, max_points)
     except AnglerError as error:
         return empty_rows(entry, str(error))
+
+
+def find_special_file(path: Path, *, links: bool) -> str:
+    """Return the name of what lies in a folder and is neither file nor folder; empty if nothing.
+
+    Pipes and devices would be read for ever; links in a file of plans may lead to files of the
+    judge.
+
+    Args:
+        path: of the folder.
+        links: whether links to files and folders may lie there.
+    """
+    for folder, folders, files in path.walk():
+        for name in (*folders, *files):
+            found = folder / name
+            if found.is_symlink():
+                if links and (found.is_file() or found.is_dir() or not found.exists()):
+                    continue
+            elif stat.S_IFMT(found.lstat().st_mode) in (stat.S_IFREG, stat.S_IFDIR):
+                continue
+            return str(found.relative_to(path.parent))
+    return ""
 
 
 def _read_group(
@@ -213,10 +276,10 @@ def _read_group(
             f"{path.name}: digest is {format_value(str(attributes.get('digest'))[:12])}, that of "
             f"the problems is {record.digest[:12]}: its plans are of other problems"
         )
-    if attributes.get("seed") != seed:
+    if attributes.get("seed") != seed:  # not printed: results are published
         raise ConfigError(
-            f"{path.name}: seed is {format_value(attributes.get('seed'))}, that of the problems is "
-            f"{seed}: its plans are of other problems"
+            f"{path.name}: seed is missing or not {seed}, that of the problems: its plans are of "
+            "others"
         )
     if "sha256" in attributes and attributes["sha256"] != list(record.sha256):
         raise ConfigError(f"{path.name}: sha256 differs from that of the frozen problems")
@@ -327,8 +390,9 @@ def _require_straight(rows: PlanRows) -> PlanRows:
         if velocity is None:
             return rows
         degree = np.full(arrays["time_s"].shape, CUBIC)  # as files of plans have it
-    is_point = np.arange(degree.shape[-1]) < arrays["points"][..., None]
-    is_bent = np.any(is_point & (degree >= CUBIC), axis=-1)
+    # A point's degree is of the segment that begins there: the last one has none.
+    is_segment = np.arange(degree.shape[-1]) < arrays["points"][..., None] - 1
+    is_bent = np.any(is_segment & (degree > LINEAR), axis=-1)
     faults = list(rows.faults)
     for world in np.flatnonzero(is_bent.any(axis=-1)):
         robot = int(np.argmax(is_bent[world]))

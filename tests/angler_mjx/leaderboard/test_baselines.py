@@ -228,18 +228,23 @@ def test_a_policy_enters_by_a_card_in_flight(judged, tmp_path):
 
 
 def test_films_show_the_best_of_the_largest_team_and_the_worst():
+    lost = {"solved": False, "makespan_s": None, "arrived": 0}
+    late = row("dense-ocean-known-01", 1, reason="planned for 1.13 s, at most 1 s", **lost)
     rows = [
         row("open-still-known-01", 1, makespan_s=51.0),
         row("open-still-known-08", 8, makespan_s=70.0),
         row("reef-still-known-08", 8, makespan_s=60.0),
-        row("dense-still-known-08", 8, solved=False, makespan_s=None, arrived=7),
-        row("dense-still-known-04", 4, solved=False, makespan_s=None, arrived=1),
+        row("dense-still-known-08", 8, reason="robot 1: timeout", **lost | {"arrived": 7}),
+        row("dense-still-known-04", 4, reason="robot 3: timeout", **lost | {"arrived": 1}),
     ]
     chosen = films.choose_flights(rows)
     assert {label: found["set"] for label, found in chosen.items()} == {
         "best": "reef-still-known-08",
         "worst": "dense-still-known-04",
     }
+    # Robots of late plans may all have arrived.
+    assert films.choose_flights([*rows, late]) == chosen
+    assert films.choose_flights([*rows[:3], late])["worst"] == late
     chosen = films.choose_flights(rows[:3])
     assert chosen["worst"]["set"] == "open-still-known-08"
     assert set(films.choose_flights(rows[:1])) == {"best"}

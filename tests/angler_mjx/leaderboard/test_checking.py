@@ -1,6 +1,7 @@
 """A submission flown and judged: what solves a problem, and what fails it."""
 
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.leaderboard import checking, problem_sets
+from angler_mjx.leaderboard import checking, entering, problem_files, problem_sets
 from angler_mjx.leaderboard.submission import Card, InFlightConfig, empty_rows
 from angler_mjx.progress import Progress
 from angler_mjx.runs.simulator.world_preparation import check_planner
@@ -141,6 +142,55 @@ def test_a_result_that_cannot_be_read_is_refused(tmp_path, content, message):
         checking.read_result(tmp_path)
 
 
+@pytest.mark.parametrize("kind", ["pipe", "link to a device"])
+def test_a_submission_that_would_be_read_for_ever_is_refused(tmp_path, manifest, kind):
+    write_card(tmp_path / "s", [NAME])
+    strange = tmp_path / "s" / "notes"
+    os.mkfifo(strange) if kind == "pipe" else strange.symlink_to("/dev/zero")
+    with pytest.raises(ConfigError, match="s/notes: is a pipe or device"):
+        checking.check_submission(tmp_path / "s", tmp_path / "o", Progress(), manifest=manifest)
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_program_must_be_there(tmp_path, manifest):
+    kind = ('kind = "plans"', 'kind = "program"')
+    write_card(tmp_path / "s", [NAME], kind=kind)
+    with (tmp_path / "s" / "card.toml").open("a") as file:
+        file.write('[program]\ncommand = ["./a"]\n')
+    (tmp_path / "s" / "program").symlink_to("/usr")
+    with pytest.raises(ConfigError, match="program: must be a folder"):
+        checking.check_submission(tmp_path / "s", tmp_path / "o", Progress(), manifest=manifest)
+
+
+@pytest.mark.parametrize("planner", ["grid", "RRTConnect"])
+def test_hidden_problems_are_planned_and_judged_without_telling_the_seed(
+    tmp_path, benchmark, sets, planner
+):
+    name, secret = NAME, b"0123456789abcdef"
+    hidden = problem_files.write_problem_files(
+        benchmark, [sets[name]], tmp_path / "p", Progress(), secret=secret
+    )
+    entering.plan_submission(
+        tmp_path / "s",
+        {"name": planner},
+        Progress(),
+        manifest=hidden,
+        name=planner,
+        sets=(name,),
+        secret=secret,
+        workers=1,
+    )
+    out = tmp_path / "o"
+    assert checking.check_submission(
+        tmp_path / "s", out, Progress(), manifest=hidden, secret=secret
+    )
+    assert [row["solved"] for row in scores(out).values()] == [True, True]
+    assert checking.read_result(out)["hidden"]
+    seed = problem_sets.derive_seed(benchmark, name, secret, hidden.find(name).attempt)
+    published = [*(tmp_path / "s").rglob("*"), out / "result.json", *(tmp_path / "p").rglob("*")]
+    assert not [p for p in published if p.is_file() and str(seed).encode() in p.read_bytes()]
+
+
 def test_a_card_that_enters_none_of_the_judged_sets_is_refused(tmp_path, manifest):
     write_card(tmp_path / "s", [NAME])
     with pytest.raises(ConfigError, match="enters none of them"):
@@ -180,6 +230,18 @@ def test_a_policy_flies_with_the_information_of_the_set(benchmark, sets):
         checking.build_flown_scenario(scenario, strange, "card.toml")
 
 
+def test_the_policy_that_flies_plans_is_none(benchmark, sets):
+    scenario = problem_sets.build_scenario(benchmark, sets["reef-moving-known-02"], 1)
+    planner = {"name": "grid", "replan_hz": 1.0}
+    flown = [
+        checking.build_flown_scenario(
+            scenario, InFlightConfig(planner=planner, policy=policy), "card.toml"
+        )
+        for policy in ({}, {"name": "none"})
+    ]
+    assert flown[0] == flown[1]
+
+
 def test_a_planner_in_flight_gets_the_highest_level_that_it_can_use(benchmark, sets):
     scenario = problem_sets.build_scenario(benchmark, sets["reef-moving-known-02"], 1)
     flown = checking.build_flown_scenario(
@@ -208,8 +270,18 @@ def test_planning_times_are_limited_after_division_by_the_factor(
     assert checking._find_late(one, 0) == reason
 
 
-@pytest.mark.parametrize(("seconds", "arrived"), [(0.9, 1), (1.1, 0)])
-def test_plans_that_are_late_bring_no_robot_to_its_goal(benchmark, sets, seconds, arrived):
+@pytest.mark.parametrize(
+    ("seconds", "fault", "said", "arrived"),
+    [
+        (0.9, "", "", 1),
+        (1.1, "", "", 0),
+        (0.9, "cut", "", 0),
+        (0.9, "", "the referee disagrees", 0),
+    ],
+)
+def test_plans_that_are_late_or_have_a_fault_bring_no_robot_to_its_goal(
+    benchmark, sets, seconds, fault, said, arrived
+):
     episode = {
         "outcome": "reached",
         "plan_reason": "",
@@ -221,10 +293,12 @@ def test_plans_that_are_late_bring_no_robot_to_its_goal(benchmark, sets, seconds
         "min_separation_m": None,
     }
     rows = replace(
-        empty_rows(replace(sets[NAME], problems=1), ""), planning_s=np.array([seconds]), faults=[""]
+        empty_rows(replace(sets[NAME], problems=1), ""),
+        planning_s=np.array([seconds]),
+        faults=[fault],
     )
     one = checked_set(benchmark, sets[NAME], rows, time_factor=1.0)
-    score = checking._flown_score(one, 0, [episode], "")
+    score = checking._flown_score(one, 0, [episode], said)
     assert (score.solved, score.arrived, score.time_factor) == (arrived == 1, arrived, 1.0)
     assert score.makespan_s == (60.0 if arrived else None)
 
@@ -248,5 +322,10 @@ def test_a_problem_that_nobody_flies_has_the_reason_of_its_file(benchmark, sets)
 )
 def test_planning_times_are_of_the_machine_that_planned(monkeypatch, kind, device, machine):
     monkeypatch.setattr(checking, "processor_name", lambda: "our core")
-    card = Card(benchmark="b", name="n", kind=kind, machine="theirs")
+    tables = {
+        "plans": {},
+        "program": {"program": {"command": ("./a",)}},
+        "in_flight": {"in_flight": {"policy": {"name": "mppi"}}},
+    }
+    card = Card(benchmark="b", name="n", kind=kind, machine="theirs", **tables[kind])
     assert checking._name_machine(card, device) == machine

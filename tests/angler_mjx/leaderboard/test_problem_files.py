@@ -2,10 +2,12 @@
 
 import hashlib
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import zarr
 from scipy.interpolate import RegularGridInterpolator
 
 from angler_mjx.errors import ConfigError, RunError
@@ -111,18 +113,39 @@ def test_problems_that_differ_from_the_frozen_ones_are_refused(tmp_path, benchma
 def test_a_set_without_its_line_in_the_manifest_is_written_again(
     tmp_path, benchmark, manifest, sets, problems
 ):
-    """A call was ended between the two."""
+    """A call was ended between the two. Nothing else is written over."""
     name = "open-still-known-01"
-    (tmp_path / "p" / f"{name}.zarr").mkdir(parents=True)
-    made = problem_files.write_problem_files(
-        benchmark, [sets[name]], tmp_path / "p", Progress(), frozen=manifest
-    )
+    out, arguments = tmp_path / "p", (benchmark, [sets[name]], tmp_path / "p", Progress())
+    shutil.copytree(problems / f"{name}.zarr", out / f"{name}.zarr")
+    (out / f"{name}.zarr" / "floor_z_m" / "zarr.json").unlink()
+    made = problem_files.write_problem_files(*arguments, frozen=manifest)
     assert made.find(name) == manifest.find(name)
     written, expected = (
         {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-        for folder in (tmp_path / "p" / f"{name}.zarr", problems / f"{name}.zarr")
+        for folder in (out / f"{name}.zarr", problems / f"{name}.zarr")
     )
     assert written == expected
+    (out / "manifest.json").unlink()
+    shutil.rmtree(out / f"{name}.zarr")
+    zarr.open_group(out / f"{name}.zarr", mode="w").attrs["schema"] = "angler_mjx plans"
+    with pytest.raises(ConfigError, match="exists"):
+        problem_files.write_problem_files(*arguments, frozen=manifest)
+    assert zarr.open_group(out / f"{name}.zarr", mode="r").attrs["schema"] == "angler_mjx plans"
+
+
+def test_sets_of_another_version_are_refused_where_they_are_kept(
+    tmp_path, benchmark, manifest, sets, problems
+):
+    shutil.copytree(problems, tmp_path / "p")
+    path = tmp_path / "p" / "manifest.json"
+    table = json.loads(path.read_text())
+    table["sets"][0]["digest"] = "0" * 64
+    path.write_text(json.dumps(table))
+    entry = sets[table["sets"][0]["name"]]
+    with pytest.raises(RunError, match="differ from the frozen ones"):
+        problem_files.write_problem_files(
+            benchmark, [entry], tmp_path / "p", Progress(), frozen=manifest
+        )
 
 
 def test_hidden_problems_differ_and_name_no_seed(tmp_path, benchmark, manifest, sets):

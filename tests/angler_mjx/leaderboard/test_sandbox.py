@@ -155,6 +155,7 @@ def test_processes_of_the_judge_do_not_count_as_the_programs(run, monkeypatch):
         monkeypatch.setattr(sandbox, "_unprivileged", lambda: user)
     else:
         user = {}
+    sandbox._measure_start.cache_clear()
     others = [subprocess.Popen(["/usr/bin/sleep", "60"], **user) for _ in range(30)]
     try:
         assert run(STRAIGHT, processes=4).faults[0] == ""
@@ -169,8 +170,17 @@ def test_processes_of_the_judge_do_not_count_as_the_programs(run, monkeypatch):
 @needs_sandbox
 def test_a_sandbox_that_cannot_run_anything_is_said(monkeypatch):
     monkeypatch.setattr(sandbox, "run_program", lambda *_: "ended with status 1: bwrap: no")
-    with pytest.raises(UnsupportedError, match="cannot run programs: /usr/bin/true ended with sta"):
-        sandbox._measure_start("bwrap")
+    with pytest.raises(UnsupportedError, match="cannot run programs: /bin/sh ended with status 1"):
+        sandbox._measure_start.__wrapped__("bwrap")
+
+
+@needs_sandbox
+@needs_python
+def test_links_of_a_program_lead_to_nothing_of_the_judge(run, tmp_path):
+    (tmp_path / "secret").write_text("0123")
+    (tmp_path / "program").mkdir()
+    (tmp_path / "program" / "link").symlink_to(tmp_path / "secret")
+    assert "FileNotFoundError" in run("open('link')").faults[0]
 
 
 @needs_sandbox

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.leaderboard import board, problem_sets, scores
+from angler_mjx.leaderboard import board, problem_files, problem_sets, scores
 
 
 def row(name, robots, **more):
@@ -106,7 +106,7 @@ def test_reasons_are_counted_without_the_robots_numbers():
 def result(name, rows=ROWS, **more):
     return {
         "benchmark": problem_sets.load_benchmark().title,
-        "problems_sha256": "0" * 64,
+        "problems_sha256": problem_files.public_manifest().sha256(),
         "hidden": False,
         "card": {
             "benchmark": problem_sets.load_benchmark().title,
@@ -154,7 +154,8 @@ def write(folder, name, **more):
 
 
 def test_the_board_orders_submissions_and_keeps_their_results(tmp_path):
-    worse = [ROWS[0] | {"solved": False}, *ROWS[1:]]
+    lost = {"solved": False, "makespan_s": None, "arrived": 0, "reason": "robot 0: timeout"}
+    worse = [ROWS[0] | lost, *ROWS[1:]]
     paths = [
         write(tmp_path, "b", rows=worse),
         write(tmp_path, "a"),
@@ -259,10 +260,12 @@ def test_boards_of_two_results_with_one_name_or_in_a_strange_folder_are_refused(
 
 def test_submissions_that_cannot_be_compared_stand_in_tables_of_their_own(tmp_path):
     flying = {**result("d")["card"], "kind": "in_flight", "in_flight": {"policy": {"name": "mppi"}}}
+    hidden = [{"hidden": True, "problems_sha256": letter * 64} for letter in "bc"]
+    again = {**result("b")["card"], "description": "on other hidden problems"}
     paths = [
         write(tmp_path, "a"),
-        write(tmp_path, "b", hidden=True, problems_sha256="b" * 64),
-        write(tmp_path, "c", hidden=True, problems_sha256="c" * 64),
+        write(tmp_path, "b", **hidden[0]),
+        write(tmp_path, "c", card=again, **hidden[1]),
         write(tmp_path, "d", card=flying),
     ]
     page = board.build_board(paths, tmp_path / "board", baselines=False).read_text()
@@ -274,7 +277,7 @@ def test_submissions_that_cannot_be_compared_stand_in_tables_of_their_own(tmp_pa
         "Hidden problems cccccccc, part of the sets",
     ]
     tables = page.split("<h2>")[1:5]
-    for name, table in zip("adbc", tables, strict=True):
+    for name, table in zip("adbb", tables, strict=True):
         assert f"<td>{name}</td>" in table
         assert table.count("<th>planner</th>") == 2
         assert ("their time has no limit" in table) == (name == "d")
@@ -285,8 +288,35 @@ def test_submissions_that_cannot_be_compared_stand_in_tables_of_their_own(tmp_pa
     [
         ({"scores": []}, "scores"),
         ({"scores": [{**ROWS[0], "solved": "yes"}]}, r"scores\[0\]\.solved"),
+        (
+            {"scores": [{**ROWS[0], "makespan_s": None}]},
+            "a solved problem has no reason, a makespan_s",
+        ),
+        ({"scores": [{**ROWS[0], "reason": "late"}]}, "a solved problem has no reason"),
+        ({"scores": [{**ROWS[0], "arrived": 0}]}, "and all robots arrived"),
+        ({"scores": [{**ROWS[0], "solved": False}]}, "another has a reason"),
+        ({"scores": [{**ROWS[0], "bound_s": 0.0}]}, r"scores\[0\]\.bound_s"),
+        ({"scores": [{**ROWS[0], "time_factor": 0.0}]}, r"scores\[0\]\.time_factor"),
+        ({"scores": [ROWS[0], ROWS[0]]}, "is there twice"),
+        ({"scores": [{**ROWS[0], "set": "x"}]}, "is no problem of the entered sets"),
+        ({"scores": [{**ROWS[0], "robots": 2, "arrived": 2}]}, "or has another set or number"),
+        (
+            {"scores": [{**ROWS[0], "problem": "open-still-known-01/7"}]},
+            "is no problem of the enter",
+        ),
+        ({"entered": ["open-still-known-02"]}, "is no problem of the entered sets"),
+        ({"entered": ["open-still-known-03"]}, "there is no problem set 'open-still-known-03'"),
         ({"planned_on": {"machine": "a"}}, "factor"),
         ({"problems_sha256": None}, "problems_sha256"),
+        (
+            {"problems_sha256": "0" * 64},
+            "hidden = False, but problems_sha256 is not that of the pub",
+        ),
+        ({"hidden": True}, "hidden = True, but problems_sha256 is that of the public"),
+        (
+            {"card": {**result("a")["card"], "kind": "program"}},
+            r"the table \[program\] must be there",
+        ),
     ],
 )
 def test_a_result_with_a_fault_is_refused_by_its_key(tmp_path, change, fault):

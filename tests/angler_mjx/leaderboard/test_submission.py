@@ -1,5 +1,8 @@
 """Cards and files of plans as others write them, and as they break."""
 
+import os
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import zarr
@@ -88,8 +91,8 @@ def velocity_alone(arrays, attributes):
     ("change", "reason"),
     [
         (wrong_digest, "digest is '000000000000', that of the problems is"),
-        (other_seed, "its plans are of other problems"),
-        (no_seed, "seed is None, that of the problems is"),
+        (other_seed, "that of the problems: its plans are of others"),
+        (no_seed, "seed is missing or not "),
         (no_schema, "holds no plans of schema version 1"),
         (edited_hash, "sha256 differs from that of the frozen problems"),
         (one_world, "must be"),
@@ -107,8 +110,22 @@ def test_a_file_that_cannot_be_used_fails_its_problems_with_the_reason(read, cha
     assert not rows.arrays["points"].any()
 
 
-@pytest.mark.parametrize("name", ["velocity", "degree"])
-def test_a_path_that_bends_fails_its_problem_alone(read, name):
+BENT = (
+    "robot 0: path with velocities or of a degree above 1; paths lead straight from point to point"
+)
+
+
+@pytest.mark.parametrize(
+    ("degree", "faults"),
+    [
+        (None, [BENT, BENT]),  # as files without degrees are flown
+        ([[1, 1], [1, 1]], ["", ""]),
+        ([[1, 1], [3, 1]], ["", BENT]),
+        ([[2, 1], [1, 1]], [BENT, ""]),
+        ([[1, 3], [1, 1]], ["", ""]),  # no segment begins at the last point
+    ],
+)
+def test_a_path_that_bends_fails_its_problem_alone(read, degree, faults):
     """It would be faster between its points than the cruise speed."""
 
     def bend(arrays, attributes):
@@ -116,16 +133,44 @@ def test_a_path_that_bends_fails_its_problem_alone(read, name):
         arrays["yaw_rad"] = np.zeros(shape, "f4")
         arrays["velocity"] = np.zeros((*shape, 4), "f4")
         arrays["acceleration"] = np.zeros((*shape, 4), "f4")
-        if name == "degree":
-            arrays["degree"] = np.ones(shape, "i4")
-            arrays["degree"][1, 0, 1] = 3
+        if degree is not None:
+            arrays["degree"] = np.array(degree, "i4")[:, None]
 
     rows = read(bend)
-    bent = "robot 0: path with velocities or of a degree above 1; paths lead straight from point "
-    bent += "to point"
-    assert list(rows.faults) == ([bent] * 2 if name == "velocity" else ["", bent])
-    assert rows.arrays["points"].tolist() == ([[0], [0]] if name == "velocity" else [[2], [0]])
+    assert list(rows.faults) == faults
+    assert rows.arrays["points"].tolist() == [[0 if fault else 2] for fault in faults]
     assert set(rows.arrays) == {"points", "time_s", "position_m", "yaw_rad"}
+
+
+@pytest.mark.parametrize("kind", ["link", "linked file", "pipe"])
+def test_links_and_pipes_in_a_file_of_plans_fail_its_problems(
+    tmp_path, problems, sets, manifest, kind
+):
+    """They could lead to files of the judge, or be read for ever."""
+    write_plans(tmp_path / "s", NAME, *straight_lines(problems, NAME))
+    path = tmp_path / "s" / "plans" / f"{NAME}.zarr"
+    if kind == "link":
+        path.rename(tmp_path / "elsewhere")
+        path.symlink_to(tmp_path / "elsewhere")
+    else:
+        part = path / "time_s" / "zarr.json"
+        part.rename(tmp_path / "elsewhere")
+        part.symlink_to(tmp_path / "elsewhere") if kind == "linked file" else os.mkfifo(part)
+    rows = submission.read_plans(path, sets[NAME], manifest.find(NAME), seed(problems), 64)
+    name = f"{NAME}.zarr" if kind == "link" else f"{NAME}.zarr/time_s/zarr.json"
+    assert list(rows.faults) == [f"{name} is a link, pipe or device"] * 2
+
+
+def test_rows_are_stored_with_their_times_and_faults(tmp_path, read):
+    rows = replace(read(), faults=["", "was late"], planning_s=np.array([0.5, np.nan]))
+    submission.store_rows(tmp_path / "rows.npz", rows)
+    loaded = submission.load_rows(tmp_path / "rows.npz")
+    assert loaded.faults == ["", "was late"]
+    np.testing.assert_array_equal(loaded.planning_s, rows.planning_s)
+    assert loaded.arrays.keys() == rows.arrays.keys()
+    for name, values in rows.arrays.items():
+        np.testing.assert_array_equal(loaded.arrays[name], values)
+    assert [path.name for path in tmp_path.glob("*.npz")] == ["rows.npz"]
 
 
 def test_plans_are_flown_with_the_cruise_speed_as_limit_over_ground(
@@ -250,6 +295,8 @@ def test_a_card_with_a_table_of_another_kind_is_refused(tmp_path):
         ({}, "commands nothing in flight"),
         ({"planner": {"name": "RRTConnect"}}, "commands nothing in flight"),
         ({"planner": {"name": "grid", "replan_hz": 0.0}}, "commands nothing in flight"),
+        ({"planner": {"name": "grid", "replan_hz": 1e-4}}, "replan_hz of at least 0.1"),
+        ({"policy": {"name": "none"}, "planner": {"name": "grid"}}, "commands nothing in flight"),
         (
             {"planner": {"replan_hz": 1.0, "deadline_s": 86400.0}},
             "deadline_s is given by the bench",

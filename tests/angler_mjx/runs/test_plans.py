@@ -21,7 +21,7 @@ from angler_mjx.progress import Progress
 from angler_mjx.runs.rollout import resume, rollout
 from angler_mjx.runs.simulator.host_planning import planning_status
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage.plans import problems, read
+from angler_mjx.runs.storage.plans import problems
 from angler_mjx.runs.storage.plans import write as plan_writer
 from angler_mjx.runs.storage.plans.read import open_plans, summarise_plan_file
 from angler_mjx.sim.information import Information
@@ -298,18 +298,29 @@ def test_a_path_that_cannot_be_flown_is_none_with_its_reason(asked, given, plann
 
 @pytest.mark.parametrize(
     ("name", "point", "is_fault"),
-    [("yaw_rad", 0, True), ("velocity", 1, True), ("velocity", 2, False)],
+    [
+        ("yaw_rad", 0, True),
+        ("velocity", 1, True),
+        ("acceleration", 1, True),
+        ("yaw_rad", -1, False),
+    ],
 )
-def test_headings_and_velocities_must_be_numbers_too(name, point, is_fault):
+def test_headings_and_velocities_must_be_numbers_too(
+    asked, given, planned, tmp_path, name, point, is_fault
+):
     """What follows a path's points is not read."""
-    time = np.array([[[0.0, 10.0, 0.0]]])
-    position_m = np.zeros((1, 1, 3, 3))
-    motion = {"yaw_rad": np.zeros((1, 1, 3, 1)), "velocity": np.zeros((1, 1, 3, 4))}
-    motion[name][0, 0, point, -1] = np.inf
-    faults = read._path_faults(
-        np.array([[2]]), time, position_m, position_m[:, :, 0], np.array([[0.5]]), 60.0, motion
-    )
-    assert faults.tolist() == [["has NaN or infinite numbers" if is_fault else ""]]
+    path = shutil.copytree(planned, tmp_path / "plans.zarr")
+    group = zarr.open_group(path, mode="r+")
+    shape = group["time_s"].shape
+    assert group["points"][2, 0] < shape[2]
+    for array, width in (("yaw_rad", ()), ("velocity", (4,)), ("acceleration", (4,))):
+        values = np.zeros((*shape, *width), "f4")
+        values[2, 0, point] = np.inf if array == name else 0.0
+        group.create_array(array, data=values)
+    found, notes = open_plans(path, asked).of([2], given.worlds(2), given)
+    assert notes.reason[0, 0] == ("has NaN or infinite numbers" if is_fault else "")
+    assert found.found[0, 0] != is_fault
+    assert found.found[0, 1:].all()
 
 
 @pytest.fixture(scope="module")

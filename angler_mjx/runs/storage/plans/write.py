@@ -1,7 +1,7 @@
 """Writing of a file of plans, some worlds at a time; an interruption can be resumed."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
@@ -110,7 +110,13 @@ class PlanWriter:
 
 
 def open_writer(
-    path: Path, scenario: Scenario, shape: PathShape, *, resume: bool, tile: int
+    path: Path,
+    scenario: Scenario,
+    shape: PathShape,
+    *,
+    resume: bool,
+    tile: int,
+    seed: int | None = None,
 ) -> PlanWriter:
     """Open a file of plans for writing.
 
@@ -120,54 +126,63 @@ def open_writer(
         shape: of the paths.
         resume: go on with one that was interrupted.
         tile: worlds of a chunk.
+        seed: that the file states; the scenario's if left out.
 
     Raises:
         ConfigError: the path exists, or there is nothing to go on with, or it is of others.
         RunError: it cannot be written.
     """
     if resume:
-        return _reopen_writer(path, scenario, shape)
+        return _reopen_writer(path, _file_attributes(scenario, seed), scenario, shape)
     lock = output_lock.acquire(
         path, kind="file of plans", advise=lambda building: output_lock.RESUMABLE
     )
     with lock.filling() as building:
         group = zarr.open_group(building, mode="a")
         group.attrs.update(
-            {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, **_file_attributes(scenario)}
+            {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, **_file_attributes(scenario, seed)}
         )
         _create_arrays(group, scenario.worlds, len(scenario.members()), shape, tile)
     return PlanWriter(lock, group)
 
 
-def _reopen_writer(path: Path, scenario: Scenario, shape: PathShape) -> PlanWriter:
+def _reopen_writer(
+    path: Path, attributes: Mapping[str, JSON], scenario: Scenario, shape: PathShape
+) -> PlanWriter:
     lock, _ = results_folder.resume_folder(
         path,
         kind="file of plans",
         file="zarr.json",
         is_complete=path.is_dir() and any(path.iterdir()),
-        check=partial(_require_same_plans, path, scenario, shape),
+        check=partial(_require_same_plans, path, attributes, scenario, shape),
     )
     with lock.keeping() as building, wrap_read_errors(building):
         group = zarr.open_group(building, mode="r+")
     return PlanWriter(lock, group)
 
 
-def _require_same_plans(path: Path, scenario: Scenario, shape: PathShape, building: Path) -> None:
+def _require_same_plans(
+    path: Path,
+    expected: Mapping[str, JSON],
+    scenario: Scenario,
+    shape: PathShape,
+    building: Path,
+) -> None:
     """Refuse to resume a file of other problems or paths."""
     with wrap_read_errors(building):
         group = zarr.open_group(building, mode="r")
         attributes, stored_shape = dict(group.attrs), group.get_array("time_s").shape
-    results_folder.require_same_keys(building, _file_attributes(scenario), attributes)
+    results_folder.require_same_keys(building, expected, attributes)
     if stored_shape != (scenario.worlds, len(scenario.members()), shape.points):
         raise ConfigError(f"--resume {path}: was begun with other worlds or points {stored_shape}")
     if attributes.get("joints", []) != list(shape.arm):
         raise ConfigError(f"--resume {path}: was begun with other joints of arms")
 
 
-def _file_attributes(scenario: Scenario) -> dict[str, JSON]:
+def _file_attributes(scenario: Scenario, seed: int | None) -> dict[str, JSON]:
     return {
         "scenario": scenario.name,
-        "seed": scenario.seed,
+        "seed": scenario.seed if seed is None else seed,
         "digest": scenario.digest(),
         # Files of older versions lack the keys that are null here.
         "planner": scenario.planner.model_dump(mode="json", exclude_none=True),
@@ -222,6 +237,7 @@ def plan_worlds(
     *,
     resume: bool = False,
     advance: Callable[[int, int], None] = lambda done, planned: None,
+    seed: int | None = None,
 ) -> int:
     """Plan the worlds of a scenario into a file; earlier plans are kept.
 
@@ -231,6 +247,7 @@ def plan_worlds(
         simulator: of it, on one device.
         resume: go on with a file that was interrupted.
         advance: called with the worlds done, and how many robots of them have a path.
+        seed: that the file states; the scenario's if left out.
 
     Returns:
         Number of robots with a path.
@@ -243,7 +260,7 @@ def plan_worlds(
         scenario.task, "plans lead to one goal; leave it out to plan for this scenario"
     )
     tile, total = simulator.tile, scenario.worlds
-    writer = open_writer(path, scenario, simulator.paths, resume=resume, tile=tile)
+    writer = open_writer(path, scenario, simulator.paths, resume=resume, tile=tile, seed=seed)
     with writer.keeping():
         remaining = writer.left()
         tiles = sorted({world - world % tile for world in remaining})
