@@ -39,6 +39,8 @@ from angler_mjx.studies.speed.measured import graph_search
 from angler_mjx.testing import referee
 
 RESULT, ANSWERS, PROBLEMS = "result.json", "answers", "problems"
+MACHINE = "machine.json"
+"""File of the judge's factor, in `ANSWERS`."""
 NO_PATH = "no path"
 """What is said of a robot without a path whose file says nothing more."""
 ROBOTS_PER_PROCESS = 32
@@ -217,10 +219,6 @@ def check_submission(
         if program.is_symlink() or not program.is_dir():
             raise ConfigError(f"{program}: must be a folder, with the program of the card")
         sandbox.require_sandbox()
-        progress.describe("measuring this machine")
-        time_factor = graph_search.measure_time_factor()
-    else:
-        time_factor = card.machine_factor if card.kind == "plans" else 1.0
     request = {
         "submission": checksums.hash_folder(source),
         "problems": manifest.sha256(),
@@ -232,6 +230,8 @@ def check_submission(
     with open_folder(declared, out, resume=resume, processes=OneProcess()) as opened:
         building = opened.building
         shutil.copyfile(source / submission.CARD, building / submission.CARD)
+        (building / ANSWERS).mkdir(exist_ok=True)
+        time_factor = _find_time_factor(card, building / ANSWERS / MACHINE, progress)
         checked = _collect_plans(
             benchmark, card, source, building, entries, manifest, secret, progress, time_factor
         )
@@ -250,6 +250,16 @@ def check_submission(
             )
         )
     return True
+
+
+def _find_time_factor(card: Card, path: Path, progress: Progress) -> float:
+    """Return the factor of the planning times; the judge's is measured once, into a file."""
+    if card.kind != "program":
+        return card.machine_factor if card.kind == "plans" else 1.0
+    if not path.exists():
+        progress.describe("measuring this machine")
+        write_json(path, {"factor": graph_search.measure_time_factor()})
+    return float(read_table(path)["factor"])
 
 
 def is_complete(out: Path) -> bool:
@@ -301,7 +311,6 @@ def _collect_plans(
     time_factor: float,
 ) -> list[CheckedSet]:
     """Read, or make in the sandbox, the plans of all sets, and write them as they will be flown."""
-    (building / ANSWERS).mkdir(exist_ok=True)
     if card.program is not None:
         problem_files.write_problem_files(
             benchmark, entries, building / PROBLEMS, progress, secret=secret, frozen=manifest

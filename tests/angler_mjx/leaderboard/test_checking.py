@@ -10,7 +10,7 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.leaderboard import checking, entering, problem_files, problem_sets
-from angler_mjx.leaderboard.submission import Card, InFlightConfig, empty_rows
+from angler_mjx.leaderboard.submission import Card, InFlightConfig, PlanRows, empty_rows
 from angler_mjx.progress import Progress
 from angler_mjx.runs.simulator.world_preparation import check_planner
 
@@ -150,6 +150,38 @@ def test_a_submission_that_would_be_read_for_ever_is_refused(tmp_path, manifest,
     with pytest.raises(ConfigError, match="s/notes: is a pipe or device"):
         checking.check_submission(tmp_path / "s", tmp_path / "o", Progress(), manifest=manifest)
     assert not (tmp_path / "o").exists()
+
+
+def test_an_interrupted_check_goes_on_with_plans_and_times_of_its_programs(
+    tmp_path, monkeypatch, problems, manifest, sets
+):
+    """Run again, they would be timed otherwise than what is flown."""
+    write_card(tmp_path / "s", [NAME], kind=('kind = "plans"', 'kind = "program"'))
+    with (tmp_path / "s" / "card.toml").open("a") as file:
+        file.write('[program]\ncommand = ["./a"]\n')
+    (tmp_path / "s" / "program").mkdir()
+    arrays, _ = straight_lines(problems, NAME)
+    runs, factors = iter([(1.8, 0.2), (0.1, 0.1)]), iter([2.0, 9.0])
+
+    def plan_set(*arguments):
+        return PlanRows(arrays=dict(arrays), planning_s=np.array(next(runs)), faults=["", "late"])
+
+    del arrays["planning_s"]
+    monkeypatch.setattr(checking.sandbox, "require_sandbox", lambda: "bwrap")
+    monkeypatch.setattr(checking.sandbox, "plan_set", plan_set)
+    monkeypatch.setattr(checking.graph_search, "measure_time_factor", lambda: next(factors))
+    fly_sets, out = checking._fly_sets, tmp_path / "o"
+    monkeypatch.setattr(checking, "_fly_sets", lambda *_: False)
+    assert not checking.check_submission(tmp_path / "s", out, Progress(), manifest=manifest)
+    monkeypatch.setattr(checking, "_fly_sets", fly_sets)
+    assert checking.check_submission(
+        tmp_path / "s", out, Progress(), manifest=manifest, resume=True
+    )
+    first, second = scores(out).values()
+    assert (first["solved"], first["planning_s"], first["time_factor"]) == (True, 0.9, 2.0)
+    assert (second["solved"], second["reason"], second["planning_s"]) == (False, "late", 0.1)
+    assert checking.read_result(out)["planned_on"]["factor"] == 2.0
+    assert sorted(path.name for path in out.iterdir()) == ["card.toml", "result.json", "runs"]
 
 
 def test_a_program_must_be_there(tmp_path, manifest):
