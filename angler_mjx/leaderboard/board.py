@@ -136,10 +136,10 @@ def format_board(
         )
         for number, table in enumerate([*results, *baselines])
     ]
-    groups: dict[BoardPlace, list[BoardEntry]] = {}
-    for entry in sorted(entries, key=lambda entry: entry.place):
-        groups.setdefault(entry.place, []).append(entry)
-    sections = [_format_group(group, place) for place, group in groups.items()]
+    groups: dict[BoardTable, list[BoardEntry]] = {}
+    for entry in sorted(entries, key=lambda entry: entry.board_table):
+        groups.setdefault(entry.board_table, []).append(entry)
+    sections = [_format_group(group, board_table) for board_table, group in groups.items()]
     versions = sorted({f"angler-mjx {e.table['physics']['angler-mjx']}" for e in entries})
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -162,7 +162,7 @@ def format_board(
     )
 
 
-class BoardPlace(NamedTuple):
+class BoardTable(NamedTuple):
     """What submissions of one table share; tables stand in the order of these values."""
 
     is_hidden: bool
@@ -202,9 +202,9 @@ class BoardEntry:
         return sum(bool(row["solved"]) for row in self.table["scores"])
 
     @property
-    def place(self) -> BoardPlace:
+    def board_table(self) -> BoardTable:
         """Table that it stands in."""
-        return BoardPlace(
+        return BoardTable(
             is_hidden=bool(self.table["hidden"]),
             problems_sha256=str(self.table["problems_sha256"]),
             is_in_flight=self.table["card"]["kind"] == "in_flight",
@@ -248,7 +248,7 @@ def _list_columns() -> list[tuple[str, list[tuple[str, int]]]]:
     return list(parts.items())
 
 
-def _format_group(group: Sequence[BoardEntry], place: BoardPlace) -> str:
+def _format_group(group: Sequence[BoardEntry], board_table: BoardTable) -> str:
     ordered = sorted(
         group, key=lambda entry: (-entry.solved, entry.table["card"]["name"], entry.is_baseline)
     )
@@ -274,18 +274,18 @@ def _format_group(group: Sequence[BoardEntry], place: BoardPlace) -> str:
         for entry in ordered
     )
     notes = ""
-    if place.is_in_flight:
+    if board_table.is_in_flight:
         notes += (
             " They observe obstacles and current all the time, where a planner observes the start, "
             "and their time has no limit."
         )
-    if place.is_partial:
+    if board_table.is_partial:
         notes += (
             " Of a tier that was entered in part, the third line is solved of entered problems."
         )
     details = "\n".join(_format_details(entry) for entry in ordered)
     return (
-        f"<h2>{escape(place.title)}</h2>\n"
+        f"<h2>{escape(board_table.title)}</h2>\n"
         "<p>Solved problems in percent of those that were entered, and the interval; below each "
         f"tier its number of problems.{notes}</p>\n"
         f'<div class="wide"><table><tr><th></th>{head}</tr>\n<tr><th>planner</th>{names}</tr>\n'

@@ -164,12 +164,12 @@ def write_problem_files(
         records = {record.name: record for record in stored.sets}
     progress.start(sum(entry.problems for entry in sets), unit="problems")
     for entry in sets:
-        known = None if frozen is None else frozen.find(entry.name)
-        if entry.name in records and known is not None:
-            _require_frozen(records[entry.name], known)
+        frozen_record = None if frozen is None else frozen.find(entry.name)
+        if entry.name in records and frozen_record is not None:
+            _require_frozen(records[entry.name], frozen_record)
         if entry.name not in records or not (out / f"{entry.name}.zarr").exists():
             progress.describe(entry.name)
-            records[entry.name] = _write_set(benchmark, entry, out, secret, known)
+            records[entry.name] = _write_set(benchmark, entry, out, secret, frozen_record)
             manifest = _build_manifest(benchmark, records, secret)
             write_json(path, _manifest_table(manifest))
         progress.advance(entry.problems)

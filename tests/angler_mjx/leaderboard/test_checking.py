@@ -303,7 +303,7 @@ def test_planning_times_are_limited_after_division_by_the_factor(
 
 
 @pytest.mark.parametrize(
-    ("seconds", "fault", "said", "arrived"),
+    ("seconds", "fault", "verdict", "arrived"),
     [
         (0.9, "", "", 1),
         (1.1, "", "", 0),
@@ -312,7 +312,7 @@ def test_planning_times_are_limited_after_division_by_the_factor(
     ],
 )
 def test_plans_that_are_late_or_have_a_fault_bring_no_robot_to_its_goal(
-    benchmark, sets, seconds, fault, said, arrived
+    benchmark, sets, seconds, fault, verdict, arrived
 ):
     episode = {
         "outcome": "reached",
@@ -330,7 +330,7 @@ def test_plans_that_are_late_or_have_a_fault_bring_no_robot_to_its_goal(
         faults=[fault],
     )
     one = checked_set(benchmark, sets[NAME], rows, time_factor=1.0)
-    score = checking._flown_score(one, 0, [episode], said)
+    score = checking._flown_score(one, 0, [episode], verdict)
     assert (score.solved, score.arrived, score.time_factor) == (arrived == 1, arrived, 1.0)
     assert score.makespan_s == (60.0 if arrived else None)
 
