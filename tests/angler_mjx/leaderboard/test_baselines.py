@@ -143,6 +143,7 @@ def test_parts_are_merged_in_their_order():
     assert [score["set"] for score in merged["scores"]] == every
     # Board and card name every machine once.
     assert merged["planned_on"] == {"machine": "A Core; A Card", "factor": 1.2}
+    assert merged["card"]["machine_factor"] == 1.2
     assert merged["judged_on"] == f"{parts[0]['judged_on']}; A Card"
     assert merged["card"]["machine"] == "A Card"
 
