@@ -133,7 +133,7 @@ def check(
     """
     count = _begin_processes(device, processes)
     from angler_mjx.cli.shared.progress import ProgressBar
-    from angler_mjx.leaderboard import checking, scores
+    from angler_mjx.leaderboard import check_results, checking, scores
 
     manifest, hidden = _find_problems(problems, secret)
     out_path = out or Path("runs") / submission.resolve().name
@@ -155,7 +155,7 @@ def check(
     if not is_judged:
         print(f"interrupted: go on with --resume --out {out_path}", file=sys.stderr)
         sys.exit(130)
-    print(scores.format_scores(checking.read_result(out_path)))
+    print(scores.format_scores(check_results.read_result(out_path)))
     print(out_path)
 
 

@@ -14,7 +14,15 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError, format_value
-from angler_mjx.leaderboard import checking, entering, problem_files, problem_sets, submission
+from angler_mjx.leaderboard import (
+    check_results,
+    checking,
+    entering,
+    problem_files,
+    problem_sets,
+    set_scenarios,
+    submission,
+)
 from angler_mjx.leaderboard.problem_files import ProblemManifest
 from angler_mjx.leaderboard.problem_sets import FrozenBenchmark, ProblemSet
 from angler_mjx.progress import Progress
@@ -140,7 +148,7 @@ def make_baselines(
             team = "teams of all sizes" if name == ALL else f"teams of {int(name)}"
             progress.report(f"{baseline.name}, part {number + 1} of {len(parts)}: {team}")
             folder = out / baseline.name / name
-            if not checking.is_complete(folder / "check"):
+            if not check_results.is_complete(folder / "check"):
                 _make_part(
                     baseline,
                     part,
@@ -165,7 +173,7 @@ def _find_refusal(
     attempt = manifest.find(entry.name).attempt
     scenario = problem_files.build_set_scenario(benchmark, entry, attempt, problem_sets.PUBLIC)
     try:
-        checking.build_planned_scenario(scenario, planner_table(baseline.name), "baselines")
+        set_scenarios.build_planned_scenario(scenario, planner_table(baseline.name), "baselines")
     except ConfigError as error:
         return str(error)
     return ""
@@ -231,10 +239,11 @@ def _format_card(baseline: Baseline, sets: Sequence[str]) -> str:
 
 def _store_result(baseline: Baseline, out: Path, store: Path) -> Path:
     """Merge the judged parts of a baseline into one result."""
-    paths = sorted((out / baseline.name).glob(f"*/check/{checking.RESULT}"))
+    paths = sorted((out / baseline.name).glob(f"*/check/{check_results.RESULT}"))
     path = store / f"{baseline.name}.json"
     store.mkdir(parents=True, exist_ok=True)
-    write_json(path, merge_results([checking.read_result(part) for part in paths], baseline.name))
+    parts = [check_results.read_result(part) for part in paths]
+    write_json(path, merge_results(parts, baseline.name))
     return path
 
 

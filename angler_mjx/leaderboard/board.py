@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.leaderboard import checking, problem_sets, submission
+from angler_mjx.leaderboard import check_results, problem_sets, submission
 from angler_mjx.leaderboard.scores import (
     MEDIANS,
     Interval,
@@ -93,7 +93,8 @@ def build_board(results: Sequence[Path], out: Path, *, baselines: bool) -> Path:
         raise ConfigError(
             "angler leaderboard build: no results; name folders of angler leaderboard check"
         )
-    tables, stored_tables = ([checking.read_result(path) for path in p] for p in (results, stored))
+    tables = [check_results.read_result(path) for path in results]
+    stored_tables = [check_results.read_result(path) for path in stored]
     names: dict[tuple[str, str], Path] = {}
     for table, path in zip(tables, results, strict=True):
         name = table["card"]["name"]
@@ -108,7 +109,7 @@ def build_board(results: Sequence[Path], out: Path, *, baselines: bool) -> Path:
     shutil.rmtree(out / RESULTS, ignore_errors=True)
     (out / RESULTS).mkdir(parents=True)
     for number, path in enumerate(paths):
-        source = path / checking.RESULT if path.is_dir() else path
+        source = path / check_results.RESULT if path.is_dir() else path
         shutil.copyfile(source, out / RESULTS / f"{number:03d}.json")
     write_text(out / PAGE, format_board(tables, stored_tables))
     return out / PAGE

@@ -9,141 +9,39 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
-from typing import Annotated, Any, Self
+from typing import Any
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from angler_mjx import __version__
-from angler_mjx.errors import AnglerError, ConfigError, format_value
-from angler_mjx.files import FileModel, parse_model
-from angler_mjx.leaderboard import problem_files, problem_sets, sandbox, submission
+from angler_mjx.errors import ConfigError
+from angler_mjx.leaderboard import problem_files, problem_sets, sandbox, submission, submitted_plans
+from angler_mjx.leaderboard.check_results import RESULT, ProblemScore, is_complete
 from angler_mjx.leaderboard.problem_files import ProblemManifest
 from angler_mjx.leaderboard.problem_sets import FrozenBenchmark, ProblemSet
-from angler_mjx.leaderboard.submission import Card, InFlightConfig, PlanRows
+from angler_mjx.leaderboard.set_scenarios import build_flown_scenario
+from angler_mjx.leaderboard.submission import Card
+from angler_mjx.leaderboard.submitted_plans import PlanRows
 from angler_mjx.progress import Progress
 from angler_mjx.runs import multi_run
 from angler_mjx.runs.processes import OneProcess
 from angler_mjx.runs.provenance import describe_environment, processor_name
 from angler_mjx.runs.resumable_folder import open_folder
-from angler_mjx.runs.simulator.world_preparation import check_planner
 from angler_mjx.runs.storage import checksums, folder
 from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.parallel import cpu_count, map_in_order, open_processes
 from angler_mjx.runs.storage.read_errors import read_table
-from angler_mjx.scenario.editing import scenario_table
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.sim.information import LEVELS
 from angler_mjx.studies.speed.measured import graph_search
 from angler_mjx.testing import referee
 
-RESULT, ANSWERS, PROBLEMS = "result.json", "answers", "problems"
+ANSWERS, PROBLEMS = "answers", "problems"
 MACHINE = "machine.json"
 """File of the judge's factor, in `ANSWERS`."""
 NO_PATH = "no path"
 """What is said of a robot without a path whose file says nothing more."""
 ROBOTS_PER_PROCESS = 32
 """Judged flights that are worth a further process: it takes some seconds to start."""
-
-
-class ProblemScore(FileModel):
-    """Score of one problem."""
-
-    problem: str
-    set: str
-    robots: int
-    solved: bool
-    """Whether every robot arrived, in time, and the referee agrees."""
-    planned: int
-    """Robots with a path; all of them where none is needed."""
-    arrived: int
-    makespan_s: float | None
-    """Arrival of the last robot; null unless solved."""
-    bound_s: Annotated[float, Field(gt=0)]
-    """Time of the longest straight line from start to goal at cruise speed: no makespan is less
-    in still water."""
-    energy_j: float
-    """Energy of all robots until their ends."""
-    clearance_m: float | None
-    """Least distance of any robot to rock, floor, obstacles and other robots; null unless flown."""
-    planning_s: float | None
-    """Planning time, over the factor of its machine; null if it is not known."""
-    time_factor: Annotated[float, Field(gt=0)]
-    """Factor that the planning time was divided by."""
-    reason: str
-    """Why it is not solved; empty if it is."""
-
-    @model_validator(mode="after")
-    def _require_consistent(self) -> Self:
-        is_arrival = self.makespan_s is not None and self.arrived == self.robots
-        if self.solved != (self.reason == "") or (self.solved and not is_arrival):
-            raise ValueError(
-                "a solved problem has no reason, a makespan_s, and all robots arrived; "
-                "another has a reason"
-            )
-        return self
-
-
-class Physics(FileModel):
-    """Version of the package that flew."""
-
-    angler_mjx: Annotated[str, Field(alias="angler-mjx")]
-    commit: str | None = None
-
-
-class PlanningMachine(FileModel):
-    """Machine of the planning times."""
-
-    machine: str
-    factor: float
-    """Greatest factor that a planning time was divided by."""
-
-
-class CheckResult(FileModel):
-    """What `RESULT` holds."""
-
-    benchmark: str
-    problems_sha256: str
-    hidden: bool
-    card: Card
-    entered: Annotated[tuple[str, ...], Field(min_length=1)]
-    physics: Physics
-    judged_on: str
-    planned_on: PlanningMachine
-    scores: Annotated[tuple[ProblemScore, ...], Field(min_length=1)]
-
-    @model_validator(mode="after")
-    def _require_problems(self) -> Self:
-        """Refuse scores that are of none of the entered sets' problems, or twice of one."""
-        sets = {
-            entry.name: entry
-            for entry in problem_sets.list_problem_sets(problem_sets.load_benchmark())
-        }
-        if unknown := [name for name in self.entered if name not in sets]:
-            raise ValueError(f"entered: there is no problem set {format_value(unknown[0])}")
-        robots = {
-            problem: entry.robots
-            for name in self.entered
-            for entry in [sets[name]]
-            for problem in entry.problem_names()
-        }
-        seen: set[str] = set()
-        for score in self.scores:
-            stated = (score.problem.rpartition("/")[0], score.robots)
-            if stated != (score.set, robots.get(score.problem)) or score.problem in seen:
-                raise ValueError(
-                    f"scores: {format_value(score.problem)} is no problem of the entered sets, is "
-                    "there twice, or has another set or number of robots"
-                )
-            seen.add(score.problem)
-        public = problem_files.public_manifest().sha256()
-        if self.hidden == (self.problems_sha256 == public):
-            raise ValueError(
-                f"hidden = {format_value(self.hidden)}, but problems_sha256 is "
-                f"{'that' if self.hidden else 'not that'} of the public problems"
-            )
-        return self
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,11 +160,6 @@ def _find_time_factor(card: Card, path: Path, progress: Progress) -> float:
     return float(read_table(path)["factor"])
 
 
-def is_complete(out: Path) -> bool:
-    """Return whether a folder holds the result of a check."""
-    return (out / RESULT).is_file()
-
-
 def _fly_sets(
     checked: Sequence[CheckedSet], building: Path, progress: Progress, processes: int
 ) -> bool:
@@ -344,12 +237,12 @@ def _collect_plans(
                     building / PROBLEMS,
                     time_factor,
                 )
-                submission.store_rows(stored, rows)
-            rows = submission.load_rows(stored)
+                submitted_plans.store_rows(stored, rows)
+            rows = submitted_plans.load_rows(stored)
         else:
             path = source / submission.PLANS / f"{entry.name}.zarr"
             seed = problem_files.printed_seed(scenario, secret)
-            rows = submission.read_plans(path, entry, record, seed, scenario.planner.points)
+            rows = submitted_plans.read_plans(path, entry, record, seed, scenario.planner.points)
         one = CheckedSet(
             entry=entry,
             scenario=scenario,
@@ -359,86 +252,9 @@ def _collect_plans(
         )
         # An interrupted check flies the plans that its flight was begun with.
         if one.flies and multi_run.run_status(building / one.run) == "none":
-            submission.write_plans(_answer_file(building, entry), scenario, rows)
+            submitted_plans.write_plans(_answer_file(building, entry), scenario, rows)
         checked.append(one)
     return checked
-
-
-def build_flown_scenario(scenario: Scenario, config: InFlightConfig, source: str) -> Scenario:
-    """Return the scenario of a set as a planner or policy flies it.
-
-    Its information is that of the set, or the lower level that it asks for.
-
-    Raises:
-        ConfigError: a key is unknown, or the planner cannot plan these problems.
-    """
-    levels = scenario.planner.information.model_dump()
-    policy = dict(config.policy)
-    if not config.has_policy:
-        return build_planned_scenario(scenario, config.planner, source, dict(config.execution))
-    policy["information"] = limit_information(levels, policy.get("information"))
-    table = scenario_table(scenario)
-    # A policy flies without a plan: its planner, if the card names none, must accept anything.
-    nothing = dict.fromkeys(levels, "nothing")
-    asked = config.planner.get("information") if config.planner else nothing
-    planner = {
-        **table["planner"],
-        **config.planner,
-        "information": limit_information(levels, asked),
-    }
-    flown = {**table, "planner": planner, "policy": policy, "execution": dict(config.execution)}
-    return parse_model(Scenario, flown, source=f"{source} ({scenario.name})")
-
-
-def build_planned_scenario(
-    scenario: Scenario,
-    planner: Mapping[str, object],
-    source: str,
-    execution: Mapping[str, object] = MappingProxyType({}),
-) -> Scenario:
-    """Return the scenario of a set with a planner, at the highest level that the planner can use.
-
-    Args:
-        scenario: of the set.
-        planner: keys of a scenario's ``planner``.
-        source: of them, for messages.
-        execution: keys of a scenario's ``execution``.
-
-    Raises:
-        ConfigError: a key is unknown, or it cannot plan these problems at any level.
-    """
-    levels = scenario.planner.information.model_dump()
-    asked = planner.get("information")
-    wanted: Sequence[Mapping[str, str] | None] = (
-        [asked] if isinstance(asked, Mapping) else [None, {**levels, "current": "nothing"}]
-    )
-    refusal: AnglerError | None = None
-    for level in wanted:
-        table = scenario_table(scenario)
-        table["planner"] = {
-            **table["planner"],
-            **planner,
-            "information": limit_information(levels, level),
-        }
-        table["execution"] = {**table.get("execution", {}), **execution}
-        changed = parse_model(Scenario, table, source=f"{source} ({scenario.name})")
-        try:
-            check_planner(changed)
-        except ConfigError as error:
-            refusal = error
-            continue
-        return changed
-    raise ConfigError(f"{scenario.name}: {refusal}")
-
-
-def limit_information(
-    levels: Mapping[str, str], wanted: Mapping[str, str] | None
-) -> dict[str, str]:
-    """Return the lower one of the set's level and of what is asked for, of each part."""
-    return {
-        part: min(level, (wanted or levels).get(part, "nothing"), key=LEVELS.index)
-        for part, level in levels.items()
-    }
 
 
 def _judge_sets(
@@ -617,20 +433,3 @@ def _name_machine(card: Card, device: str) -> str:
     if card.kind == "plans":
         return card.machine
     return processor_name() if card.kind == "program" or device == "cpu" else device
-
-
-def read_result(out: Path) -> dict[str, Any]:
-    """Read the result of a check.
-
-    Raises:
-        ConfigError: there is none, it is damaged, or it is of another version of the benchmark.
-    """
-    path = out / RESULT if out.is_dir() else out
-    if not path.is_file():
-        raise ConfigError(f"{out}: holds no {RESULT}; angler leaderboard check makes one")
-    table = read_table(path)
-    title = problem_sets.load_benchmark().title
-    if table.get("benchmark") != title:
-        raise ConfigError(f"{path}: is of {table.get('benchmark')!r}, this program has {title!r}")
-    parse_model(CheckResult, table, source=str(path))
-    return table

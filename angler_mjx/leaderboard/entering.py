@@ -16,9 +16,9 @@ import numpy as np
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import parse_model
 from angler_mjx.leaderboard import problem_files, problem_sets, submission
-from angler_mjx.leaderboard.checking import build_planned_scenario
 from angler_mjx.leaderboard.problem_files import ProblemManifest
 from angler_mjx.leaderboard.problem_sets import ProblemSet
+from angler_mjx.leaderboard.set_scenarios import build_planned_scenario
 from angler_mjx.leaderboard.submission import Card
 from angler_mjx.planning import register
 from angler_mjx.planning.device_planner import build_device_planner

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.leaderboard import checking
+from angler_mjx.leaderboard import check_results
 from angler_mjx.leaderboard.scores import measure
 from angler_mjx.progress import Progress
 from angler_mjx.report.video import write_video
@@ -32,7 +32,7 @@ def film_result(result: Path, out: Path, progress: Progress) -> Iterator[Path]:
         UnsupportedError: no OpenGL works here, or PyAV is missing.
         RunError: a file cannot be written.
     """
-    table = checking.read_result(result)
+    table = check_results.read_result(result)
     runs = result / multi_run.RUNS_FOLDER
     flown = [row for row in table["scores"] if (runs / row["set"] / TRAJECTORIES).is_dir()]
     if not flown:

@@ -23,10 +23,11 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.errors import UnsupportedError
-from angler_mjx.leaderboard import problem_sets, submission
+from angler_mjx.leaderboard import problem_sets, submitted_plans
 from angler_mjx.leaderboard.problem_files import SetRecord
 from angler_mjx.leaderboard.problem_sets import ProblemSet
-from angler_mjx.leaderboard.submission import PlanRows, ProgramConfig
+from angler_mjx.leaderboard.submission import ProgramConfig
+from angler_mjx.leaderboard.submitted_plans import PlanRows
 from angler_mjx.scenario.scenario import Scenario
 
 FOLDER = "program"
@@ -180,7 +181,7 @@ def _plan_problem(
         if seconds > limit_s and not fault:
             fault = _describe_late(limit_s)
         if fault:
-            rows = submission.empty_rows(single, fault)
+            rows = submitted_plans.empty_rows(single, fault)
         else:
             one = SetRecord(
                 name=record.name,
@@ -192,7 +193,7 @@ def _plan_problem(
             path = folder / "out" / "plan.zarr"
             problem = json.loads((folder / "problem.zarr" / "zarr.json").read_text("utf-8"))
             seed = problem["attributes"]["seed"]
-            rows = submission.read_plans(path, single, one, seed, scenario.planner.points)
+            rows = submitted_plans.read_plans(path, single, one, seed, scenario.planner.points)
     return PlanRows(
         arrays=rows.arrays, planning_s=np.array([min(seconds, limit_s)]), faults=rows.faults
     )

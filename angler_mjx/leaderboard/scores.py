@@ -13,7 +13,7 @@ import numpy as np
 from angler_mjx.runs.storage.confidence_intervals import wilson_interval
 
 type ScoreRow = Mapping[str, Any]
-"""Fields of `checking.ProblemScore`, as read from ``result.json``."""
+"""Fields of `check_results.ProblemScore`, as read from ``result.json``."""
 
 BOOTSTRAPS, SEED = 2000, 1
 MAX_FAILED_LINES = 12

@@ -10,7 +10,15 @@ import pytest
 from angler_mjx.cli import leaderboard as commands
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError
-from angler_mjx.leaderboard import baselines, checking, entering, films, problem_files, problem_sets
+from angler_mjx.leaderboard import (
+    baselines,
+    checking,
+    entering,
+    films,
+    problem_files,
+    problem_sets,
+    set_scenarios,
+)
 from angler_mjx.planning import register
 from angler_mjx.progress import Progress
 from angler_mjx.runs import device_processes
@@ -53,7 +61,7 @@ def test_planners_enter_with_the_settings_of_their_baseline(tmp_path, monkeypatc
     (ocean,) = problem_sets.select_problem_sets(benchmark, ("open-ocean-known-01",))
     attempt = manifest.find(ocean.name).attempt
     scenario = problem_files.build_set_scenario(benchmark, ocean, attempt, problem_sets.PUBLIC)
-    planned = checking.build_planned_scenario(scenario, asked[0], "baselines")
+    planned = set_scenarios.build_planned_scenario(scenario, asked[0], "baselines")
     assert planned.planner.planner_spec().settings == {"limit_ground_speed": True}
 
 

@@ -9,8 +9,16 @@ import pyarrow.parquet as pq
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.leaderboard import checking, entering, problem_files, problem_sets
-from angler_mjx.leaderboard.submission import Card, InFlightConfig, PlanRows, empty_rows
+from angler_mjx.leaderboard import (
+    check_results,
+    checking,
+    entering,
+    problem_files,
+    problem_sets,
+    set_scenarios,
+)
+from angler_mjx.leaderboard.submission import Card, InFlightConfig
+from angler_mjx.leaderboard.submitted_plans import PlanRows, empty_rows
 from angler_mjx.progress import Progress
 from angler_mjx.runs.simulator.world_preparation import check_planner
 
@@ -80,7 +88,7 @@ def test_a_set_without_a_file_fails(result):
 
 
 def test_a_result_says_what_was_judged_and_keeps_no_trajectories(result, manifest):
-    table = checking.read_result(result)
+    table = check_results.read_result(result)
     assert table["problems_sha256"] == manifest.sha256()
     assert table["entered"] == [NAME, MISSING]
     assert (table["hidden"], table["card"]["name"]) == (False, "straight lines")
@@ -139,7 +147,7 @@ def test_a_result_that_cannot_be_read_is_refused(tmp_path, content, message):
     if content is not None:
         (tmp_path / "result.json").write_text(content)
     with pytest.raises(ConfigError, match=message):
-        checking.read_result(tmp_path)
+        check_results.read_result(tmp_path)
 
 
 @pytest.mark.parametrize("kind", ["pipe", "link to a device"])
@@ -180,7 +188,7 @@ def test_an_interrupted_check_goes_on_with_plans_and_times_of_its_programs(
     first, second = scores(out).values()
     assert (first["solved"], first["planning_s"], first["time_factor"]) == (True, 0.9, 2.0)
     assert (second["solved"], second["reason"], second["planning_s"]) == (False, "late", 0.1)
-    assert checking.read_result(out)["planned_on"]["factor"] == 2.0
+    assert check_results.read_result(out)["planned_on"]["factor"] == 2.0
     assert sorted(path.name for path in out.iterdir()) == ["card.toml", "result.json", "runs"]
 
 
@@ -217,7 +225,7 @@ def test_hidden_problems_are_planned_and_judged_without_telling_the_seed(
         tmp_path / "s", out, Progress(), manifest=hidden, secret=secret
     )
     assert [row["solved"] for row in scores(out).values()] == [True, True]
-    assert checking.read_result(out)["hidden"]
+    assert check_results.read_result(out)["hidden"]
     seed = problem_sets.derive_seed(benchmark, name, secret, hidden.find(name).attempt)
     published = [*(tmp_path / "s").rglob("*"), out / "result.json", *(tmp_path / "p").rglob("*")]
     assert not [p for p in published if p.is_file() and str(seed).encode() in p.read_bytes()]
@@ -244,14 +252,14 @@ def test_a_card_that_enters_none_of_the_judged_sets_is_refused(tmp_path, manifes
 def test_nobody_gets_more_information_than_the_set_has(levels, wanted, expected):
     names = ("obstacles", "current")
     table = None if wanted is None else dict(zip(names, wanted, strict=True))
-    limited = checking.limit_information(dict(zip(names, levels, strict=True)), table)
+    limited = set_scenarios.limit_information(dict(zip(names, levels, strict=True)), table)
     assert tuple(limited[name] for name in names) == expected
 
 
 def test_a_policy_flies_with_the_information_of_the_set(benchmark, sets):
     scenario = problem_sets.build_scenario(benchmark, sets["reef-moving-observed-02"], 1)
     wanted = {"name": "mppi", "information": {"obstacles": "truth", "current": "truth"}}
-    flown = checking.build_flown_scenario(scenario, InFlightConfig(policy=wanted), "card.toml")
+    flown = set_scenarios.build_flown_scenario(scenario, InFlightConfig(policy=wanted), "card.toml")
     assert flown.policy.name == "mppi"
     assert flown.policy.information.model_dump() == {"obstacles": "observed", "current": "observed"}
     assert flown.digest() == scenario.digest()
@@ -259,14 +267,14 @@ def test_a_policy_flies_with_the_information_of_the_set(benchmark, sets):
     check_planner(flown)
     strange = InFlightConfig(planner={"worlds": 3, "replan_hz": 1.0})
     with pytest.raises(ConfigError, match="worlds"):
-        checking.build_flown_scenario(scenario, strange, "card.toml")
+        set_scenarios.build_flown_scenario(scenario, strange, "card.toml")
 
 
 def test_the_policy_that_flies_plans_is_none(benchmark, sets):
     scenario = problem_sets.build_scenario(benchmark, sets["reef-moving-known-02"], 1)
     planner = {"name": "grid", "replan_hz": 1.0}
     flown = [
-        checking.build_flown_scenario(
+        set_scenarios.build_flown_scenario(
             scenario, InFlightConfig(planner=planner, policy=policy), "card.toml"
         )
         for policy in ({}, {"name": "none"})
@@ -276,7 +284,7 @@ def test_the_policy_that_flies_plans_is_none(benchmark, sets):
 
 def test_a_planner_in_flight_gets_the_highest_level_that_it_can_use(benchmark, sets):
     scenario = problem_sets.build_scenario(benchmark, sets["reef-moving-known-02"], 1)
-    flown = checking.build_flown_scenario(
+    flown = set_scenarios.build_flown_scenario(
         scenario, InFlightConfig(planner={"name": "grid", "replan_hz": 1.0}), "card.toml"
     )
     assert flown.planner.information.model_dump() == {"obstacles": "truth", "current": "nothing"}

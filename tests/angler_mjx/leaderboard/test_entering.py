@@ -8,7 +8,7 @@ import pytest
 import zarr
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.leaderboard import checking, entering, problem_files, problem_sets, submission
+from angler_mjx.leaderboard import entering, problem_files, problem_sets, set_scenarios, submission
 from angler_mjx.planning.device_planner import DevicePlanner, build_device_planner
 from angler_mjx.progress import Progress
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -71,6 +71,12 @@ def test_a_planner_is_timed_while_others_wait(tmp_path, monkeypatch):
     assert written == ["first", "second"]
 
 
+def plan_by_grid(out, manifest, *sets, **options):
+    entering.plan_submission(
+        out, {"name": "grid"}, Progress(), manifest=manifest, name="grid", sets=sets, **options
+    )
+
+
 def test_sets_of_problems_of_one_shape_share_a_compiled_planner(tmp_path, monkeypatch, manifest):
     built = []
 
@@ -79,13 +85,8 @@ def test_sets_of_problems_of_one_shape_share_a_compiled_planner(tmp_path, monkey
         return build_device_planner(spec, settings)
 
     monkeypatch.setattr(entering, "build_device_planner", build)
-    entering.plan_submission(
-        tmp_path,
-        {"name": "grid"},
-        Progress(),
-        manifest=manifest,
-        name="grid",
-        sets=("open-still-known-01", "dense-still-known-01", "open-moving-known-01"),
+    plan_by_grid(
+        tmp_path, manifest, "open-still-known-01", "dense-still-known-01", "open-moving-known-01"
     )
     # Rock is an input of the program; whether obstacles move is a setting.
     assert len(built) == 2
@@ -95,7 +96,7 @@ def test_sets_of_problems_of_one_shape_share_a_compiled_planner(tmp_path, monkey
         made = zarr.open_group(tmp_path / "plans" / f"{entry.name}.zarr", mode="r")
         attempt = manifest.find(entry.name).attempt
         scenario = problem_files.build_set_scenario(benchmark, entry, attempt, problem_sets.PUBLIC)
-        planned = checking.build_planned_scenario(scenario, {"name": "grid"}, "test")
+        planned = set_scenarios.build_planned_scenario(scenario, {"name": "grid"}, "test")
         path = Simulator(planned, devices=1).worlds(0).path
         count = entry.problems
         assert np.all(path.found[:count])
@@ -115,14 +116,7 @@ def test_each_problem_is_planned_and_timed_alone(tmp_path, monkeypatch, manifest
     monkeypatch.setattr(DevicePlanner, "plan_batch", plan_batch)
     clock = SimpleNamespace(perf_counter=lambda: next(seconds))
     monkeypatch.setattr(entering, "time", clock)
-    entering.plan_submission(
-        tmp_path,
-        {"name": "grid"},
-        Progress(),
-        manifest=manifest,
-        name="grid",
-        sets=("open-still-known-01",),
-    )
+    plan_by_grid(tmp_path, manifest, "open-still-known-01")
     assert set(sizes) == {1}  # it is traced
     made = zarr.open_group(tmp_path / "plans" / "open-still-known-01.zarr", mode="r")
     assert made["planning_s"][:].tolist() == [1.5, 0.25]
@@ -131,15 +125,7 @@ def test_each_problem_is_planned_and_timed_alone(tmp_path, monkeypatch, manifest
 def test_processes_side_by_side_plan_the_same(tmp_path, manifest):
     sets = ("open-still-known-01", "reef-still-known-01")
     for count in (1, 2):
-        entering.plan_submission(
-            tmp_path / str(count),
-            {"name": "grid"},
-            Progress(),
-            manifest=manifest,
-            name="grid",
-            sets=sets,
-            processes=count,
-        )
+        plan_by_grid(tmp_path / str(count), manifest, *sets, processes=count)
     for name in sets:
         one, two = (
             zarr.open_group(tmp_path / count / "plans" / f"{name}.zarr", mode="r")

@@ -12,7 +12,8 @@ import pytest
 
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.leaderboard import problem_files, sandbox
-from angler_mjx.leaderboard.submission import PlanRows, ProgramConfig
+from angler_mjx.leaderboard.submission import ProgramConfig
+from angler_mjx.leaderboard.submitted_plans import PlanRows
 
 NAME = "open-still-known-01"
 try:

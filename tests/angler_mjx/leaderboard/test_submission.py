@@ -9,7 +9,7 @@ import zarr
 from pydantic import ValidationError
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.leaderboard import problem_sets, submission
+from angler_mjx.leaderboard import problem_sets, submission, submitted_plans
 from angler_mjx.runs.storage.plans.read import open_plans
 
 from .submitting import straight_lines, write_card, write_plans
@@ -26,7 +26,7 @@ def read(tmp_path, problems, sets, manifest):
         change(arrays, attributes)
         write_plans(tmp_path, NAME, arrays, attributes)
         path = tmp_path / "plans" / f"{NAME}.zarr"
-        return submission.read_plans(path, sets[NAME], manifest.find(NAME), seed(problems), 64)
+        return submitted_plans.read_plans(path, sets[NAME], manifest.find(NAME), seed(problems), 64)
 
     return read
 
@@ -156,15 +156,15 @@ def test_links_and_pipes_in_a_file_of_plans_fail_its_problems(
         part = path / "time_s" / "zarr.json"
         part.rename(tmp_path / "elsewhere")
         part.symlink_to(tmp_path / "elsewhere") if kind == "linked file" else os.mkfifo(part)
-    rows = submission.read_plans(path, sets[NAME], manifest.find(NAME), seed(problems), 64)
+    rows = submitted_plans.read_plans(path, sets[NAME], manifest.find(NAME), seed(problems), 64)
     name = f"{NAME}.zarr" if kind == "link" else f"{NAME}.zarr/time_s/zarr.json"
     assert list(rows.faults) == [f"{name} is a link, pipe or device"] * 2
 
 
 def test_rows_are_stored_with_their_times_and_faults(tmp_path, read):
     rows = replace(read(), faults=["", "was late"], planning_s=np.array([0.5, np.nan]))
-    submission.store_rows(tmp_path / "rows.npz", rows)
-    loaded = submission.load_rows(tmp_path / "rows.npz")
+    submitted_plans.store_rows(tmp_path / "rows.npz", rows)
+    loaded = submitted_plans.load_rows(tmp_path / "rows.npz")
     assert loaded.faults == ["", "was late"]
     np.testing.assert_array_equal(loaded.planning_s, rows.planning_s)
     assert loaded.arrays.keys() == rows.arrays.keys()
@@ -177,17 +177,17 @@ def test_plans_are_flown_with_the_cruise_speed_as_limit_over_ground(
     tmp_path, read, benchmark, sets
 ):
     scenario = problem_sets.build_scenario(benchmark, sets[NAME], 1)
-    submission.write_plans(tmp_path / "plans.zarr", scenario, read())
+    submitted_plans.write_plans(tmp_path / "plans.zarr", scenario, read())
     assert open_plans(tmp_path / "plans.zarr", scenario).limits_ground_speed
 
 
 def test_a_file_that_is_missing_or_no_file_fails_its_problems(tmp_path, sets, manifest):
     path = tmp_path / "plans" / f"{NAME}.zarr"
     arguments = (sets[NAME], manifest.find(NAME), 1, 64)
-    assert set(submission.read_plans(path, *arguments).faults) == {f"{NAME}.zarr is missing"}
+    assert set(submitted_plans.read_plans(path, *arguments).faults) == {f"{NAME}.zarr is missing"}
     path.mkdir(parents=True)
     (path / "zarr.json").write_text("{]")
-    faults = submission.read_plans(path, *arguments).faults
+    faults = submitted_plans.read_plans(path, *arguments).faults
     assert len(faults) == 2
     assert all(f"{NAME}.zarr" in fault for fault in faults)
 
@@ -211,7 +211,7 @@ def test_a_damaged_chunk_fails_its_problem_alone(tmp_path, problems, sets, manif
     path = tmp_path / "plans" / f"{NAME}.zarr"
     zarr.open_group(path).create_array("time_s", data=times, chunks=(1, 1, 2), compressors=None)
     (path / "time_s/c/1/0/0").write_bytes(b"cut")
-    rows = submission.read_plans(path, sets[NAME], manifest.find(NAME), seed(problems), 64)
+    rows = submitted_plans.read_plans(path, sets[NAME], manifest.find(NAME), seed(problems), 64)
     assert rows.faults[0] == ""
     assert rows.faults[1].startswith(f"{NAME}.zarr/time_s: cannot be read")
     np.testing.assert_array_equal(rows.arrays["time_s"][0], times[0])
