@@ -16,7 +16,6 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +33,7 @@ FOLDER = "program"
 """Folder of the program in a submission."""
 GRACE = 1.0
 """Seconds beyond the limit after which a program is ended, so that its start is no matter."""
-STARTS, START_LIMIT_S = 3, 30.0
+STARTS, START_LIMIT_S = 5, 30.0
 """Empty programs whose least time is that of starting a sandbox, and the limit for each."""
 NOBODY = 65534
 """User and group inside."""
@@ -127,9 +126,10 @@ def plan_set(
     )
 
 
-@cache
 def _measure_start(bubblewrap: str) -> float:
-    """Return the seconds that a sandbox takes for a program that does nothing, measured once.
+    """Return the seconds that a sandbox takes for a program that does nothing.
+
+    They are measured for each set: a machine that was busy once would make all programs look fast.
 
     Raises:
         UnsupportedError: it does not run there.
