@@ -6,6 +6,7 @@ one to each sampler as it is made; setting it before they are made fixes them al
 times in a process (OMPL says an error then, which is switched off).
 """
 
+import itertools
 import math
 import time
 import zlib
@@ -39,6 +40,11 @@ MAX_PROGRESS_POINTS = 1000
 
 MIN_SEARCH_S = 1e-4
 """A search is not begun with less left."""
+
+OPTIMUM_TOLERANCE = 1e-6
+"""A path that is longer than the straight line by this part of it is the optimum: the search ends.
+Samplers that know the best cost would look for shorter paths where there are none; SORRTstar's does
+so without looking at the clock."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,8 +168,12 @@ class _OmplSetup:
             self.problem.addStartState(self.ends[0])
             self.problem.setGoal(self.goals)
         self.objective = ob.PathLengthOptimizationObjective(self.info)
-        if first:
-            self.objective.setCostThreshold(self.objective.infiniteCost())
+        line = np.linalg.norm(np.atleast_2d(goal) - start, axis=-1).min()
+        self.objective.setCostThreshold(
+            self.objective.infiniteCost()
+            if first
+            else ob.Cost(float(line) * (1.0 + OPTIMUM_TOLERANCE))
+        )
         self.problem.setOptimizationObjective(self.objective)
         self.size = size
 
@@ -221,13 +231,30 @@ def search_path(
     if not setup.problem.hasExactSolution():
         return SearchResult(None, extras)
     path = setup.problem.getSolutionPath()
-    progress = progress or [(elapsed_s, float(path.length()))]
+    points = _complete_path(setup.path_states(path), start)
+    length = _path_length(points)
+    if not progress or length < progress[-1][1] * (1.0 - OPTIMUM_TOLERANCE):
+        progress.append((elapsed_s, length))
     best_s, best_cost = progress[-1]
     extras |= {"first_s": progress[0][0], "best_s": best_s, "best_cost": best_cost}
     if order.simplify_s > 0.0:
         setup.motions.end = math.inf
         og.PathSimplifier(setup.info).simplify(path, order.simplify_s)
-    return SearchResult(setup.path_states(path), extras, progress)
+        points = _complete_path(setup.path_states(path), start)
+    columns = space.checked_columns
+    is_free = all(
+        space.edge(a, b) for a, b in itertools.pairwise(np.ascontiguousarray(points[:, columns]))
+    )
+    return SearchResult(points if is_free else None, extras, progress)
+
+
+def _complete_path(points: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Return the path [k, d] from its start; AORRTC states a straight line as twice the goal."""
+    return points if np.allclose(points[0], start) else np.vstack([start, points])
+
+
+def _path_length(points: np.ndarray) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=-1).sum())
 
 
 def _run_anytime(
@@ -235,7 +262,7 @@ def _run_anytime(
 ) -> list[tuple[float, float]]:
     """Run a planner that improves; return times of better paths and their costs.
 
-    Its best cost is read at each of its checks whether to stop.
+    Its best cost is read at each of its checks whether to stop, and is 0 where it has none.
     """
     planner = make_planner(order.planner, setup.info, order.parameters)
     planner.setProblemDefinition(setup.problem)
@@ -247,10 +274,10 @@ def _run_anytime(
     progress: list[tuple[float, float]] = []
     best = math.inf
 
-    def record_cost() -> float:
+    def record_cost(cost: float) -> float:
         nonlocal best
-        cost, now = cost_getters[0]().value(), clock()
-        if cost < best:
+        now = clock()
+        if 0.0 < cost < best:
             best = cost
             progress.append((now - begin, cost))
             if len(progress) > MAX_PROGRESS_POINTS:
@@ -258,10 +285,9 @@ def _run_anytime(
         return now
 
     def stop() -> bool:
-        return record_cost() >= end or motions.count >= max_edges
+        return record_cost(cost_getters[0]().value()) >= end or motions.count >= max_edges
 
     planner.solve(ob.PlannerTerminationCondition(stop))
-    record_cost()
     cost_getters.clear()  # AORRTC keeps the condition: it must not keep the planner in turn.
     return progress
 

@@ -97,6 +97,25 @@ def test_what_cannot_be_found_ends_by_its_limit_and_not_by_the_deadline(name):
     assert got.planning_s < 2.5
 
 
+def test_a_search_leaves_time_to_hand_over_its_plan_before_the_deadline():
+    shut = problem([(2, 2, 2)], [(8, 2, 2)], rock=[(5, slice(None), slice(None))], deadline_s=1.0)
+    got = plan("RRTstar", shut)
+    limit_s = float(got.reason.removeprefix("no way found in ").removesuffix(" s"))
+    assert 0.8 < limit_s < 0.9 * 0.995  # nine tenths search, the rest straightens
+
+
+@pytest.mark.parametrize("name", ["AORRTC", "BITstar", "InformedRRTstar", "PRMstar", "SORRTstar"])
+@pytest.mark.parametrize("robots", [1, 2])
+def test_a_search_that_found_the_straight_line_ends_long_before_its_limit(name, robots):
+    starts, goals = [(2, 2, 2), (2, 7, 7)], [(8, 2, 2), (8, 7, 6)]
+    free = problem(starts[:robots], goals[:robots], deadline_s=30.0)
+    got = plan(name, free, simplify="none")
+    assert got.status == "planned", got.reason
+    assert got.extras["search_s"] < 15.0
+    line = np.linalg.norm(np.subtract(goals[:robots], starts[:robots]))
+    assert got.extras["best_cost"] == pytest.approx(line, rel=1e-5)
+
+
 @pytest.mark.parametrize(
     ("name", "edges"),
     [("RRTConnect", 1000), ("AORRTC", 1000), ("BITstar", 600), ("FMT", 3000), ("LBKPIECE1", 1000)],
