@@ -2,14 +2,16 @@
 
 Bubblewrap gives a program namespaces of its own: no network, no user rights, no processes but its
 own, and no files but system libraries, its folder (read-only), the problem (read-only) and an empty
-folder for its plan. Memory, processor time, processes and file sizes are limited; at the time limit
-the whole sandbox is killed.
+folder for its plan. Memory, processor time, processes and what is written are limited; at the time
+limit the whole sandbox is killed.
 """
 
+import contextlib
 import itertools
 import json
 import math
 import os
+import select
 import shutil
 import signal
 import subprocess
@@ -40,8 +42,13 @@ NOBODY = 65534
 FIRST_USER = 1_000_000
 """Least number of users of sandboxes, above those of people and services."""
 _sandboxes = itertools.count()
-MAX_FILE_BYTES = 64 * 2**20
-"""Size of a file that a program may write."""
+MAX_WRITTEN_BYTES, MAX_WRITTEN_FILES = 64 * 2**20, 10_000
+"""What a program may write: bytes in each of its folders and on standard error, and files and
+folders of its plan."""
+POLL_S = 0.05
+"""Time between two looks at the folder of the plan: what is written meanwhile can be more."""
+ERROR_BYTES = 4096
+"""Read of the end of standard error."""
 _SYSTEM_FOLDERS = ("/usr", "/bin", "/lib", "/lib64", "/etc/alternatives", "/etc/ld.so.cache")
 """Folders of programs and libraries, read-only in the sandbox."""
 
@@ -256,10 +263,11 @@ def run_program(bubblewrap: str, config: ProgramConfig, folder: Path, limit_s: f
         "/proc",
         "--dev",
         "/dev",
-        "--size",
-        str(MAX_FILE_BYTES),
-        "--tmpfs",
-        "/tmp",
+        *(
+            part
+            for folder in ("/dev/shm", "/tmp")
+            for part in ("--size", str(MAX_WRITTEN_BYTES), "--tmpfs", folder)
+        ),
         "--ro-bind",
         str(folder / FOLDER),
         "/program",
@@ -269,6 +277,11 @@ def run_program(bubblewrap: str, config: ProgramConfig, folder: Path, limit_s: f
         "--bind",
         str(folder / "out"),
         "/out",
+        # Both lie in memory that no limit counts.
+        "--remount-ro",
+        "/dev",
+        "--remount-ro",
+        "/",
         "--chdir",
         "/program",
         # Inside, where the kernel counts the processes of the sandbox alone; outside it would count
@@ -280,32 +293,69 @@ def run_program(bubblewrap: str, config: ProgramConfig, folder: Path, limit_s: f
         "/problem.zarr",
         "/out/plan.zarr",
     ]
-    process = subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-        **_unprivileged(),
-    )
-    try:
-        _, errors = process.communicate(timeout=limit_s + GRACE)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
-        return _describe_late(limit_s)
-    if process.returncode == 0:
-        return ""
-    lines = errors.decode(errors="replace").strip().splitlines()
+    with tempfile.TemporaryFile() as errors:
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=errors,
+            start_new_session=True,
+            **_unprivileged(),
+        )
+        fault = _watch_process(process, folder / "out", limit_s)
+        errors.seek(max(0, errors.seek(0, os.SEEK_END) - ERROR_BYTES))
+        lines = errors.read().decode(errors="replace").strip().splitlines()
+    if fault or process.returncode == 0:
+        return fault
     text = f": {lines[-1][:200]}" if lines else ""
     if process.returncode in (128 + signal.SIGXCPU, 128 + signal.SIGKILL):
         return f"was killed at a limit of time or memory{text}"
     if process.returncode == 128 + signal.SIGXFSZ:
-        return f"wrote a file of more than {MAX_FILE_BYTES // 2**20} MiB{text}"
+        return f"wrote a file of more than {MAX_WRITTEN_BYTES // 2**20} MiB{text}"
     names = {128 + number: number.name for number in signal.Signals}
     if process.returncode in names:
         return f"was ended by the signal {names[process.returncode]}{text}"
     return f"ended with status {process.returncode}{text}"
+
+
+def _watch_process(process: subprocess.Popen[bytes], out: Path, limit_s: float) -> str:
+    """Wait for the end of a sandbox, or end it for its time or what it wrote; returns why."""
+    end = time.perf_counter() + limit_s + GRACE
+    ended = os.pidfd_open(process.pid)
+    try:
+        fault = ""
+        while not fault and not select.select([ended], [], [], POLL_S)[0]:
+            fault = _check_written(out)
+            if time.perf_counter() > end:
+                fault = _describe_late(limit_s)
+        if fault:
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    finally:
+        os.close(ended)
+    return fault or _check_written(out)
+
+
+def _check_written(out: Path) -> str:
+    """Return what is wrong with the amount of files in a program's folder; empty if nothing is."""
+    files = size = 0
+    folders = [out]
+    while folders:
+        try:
+            entries = list(itertools.islice(os.scandir(folders.pop()), MAX_WRITTEN_FILES + 1))
+        except FileNotFoundError:  # removed since
+            continue
+        except OSError as error:
+            return f"made a folder that cannot be read: {error.strerror}"
+        files += len(entries)
+        for entry in entries:
+            with contextlib.suppress(FileNotFoundError):
+                size += entry.stat(follow_symlinks=False).st_size
+                if entry.is_dir(follow_symlinks=False):
+                    folders.append(Path(entry.path))
+        if files > MAX_WRITTEN_FILES or size > MAX_WRITTEN_BYTES:
+            return f"wrote more than {MAX_WRITTEN_FILES} files or {MAX_WRITTEN_BYTES // 2**20} MiB"
+    return ""
 
 
 def _describe_late(limit_s: float) -> str:
@@ -337,7 +387,7 @@ def _limit_resources(config: ProgramConfig, limit_s: float) -> list[str]:
     limits = {
         "as": int(config.memory_gib * 2**30),
         "cpu": seconds,
-        "fsize": MAX_FILE_BYTES,
+        "fsize": MAX_WRITTEN_BYTES,
         "core": 0,
         "nofile": 256,
     }

@@ -123,6 +123,28 @@ def test_a_program_that_a_signal_ends_fails_with_its_name(run, name, fault):
         ("open('/problem.zarr/zarr.json', 'a')", "status 1: "),
         ("open('/program/plan.py', 'a')", "status 1: "),
         ("open('/out/x', 'wb').write(bytes(65 << 20))", "File too large"),
+        (
+            "for i in range(9): open(f'/out/{i}', 'wb').write(bytes(8 << 20))",
+            "wrote more than 10000 files or 64 MiB",
+        ),
+        (
+            "import os\nfor i in range(99): os.mkdir(f'/out/{i}'); "
+            "[open(f'/out/{i}/{j}', 'w') for j in range(101)]",
+            "wrote more than 10000 files or 64 MiB",
+        ),
+        (
+            "import time\nfor i in range(9): open(f'/out/{i}', 'wb').write(bytes(8 << 20))\n"
+            "time.sleep(60)",
+            "wrote more than 10000 files or 64 MiB",
+        ),
+        ("import sys\nwhile True: sys.stderr.write('x' * 99999)", "ended with status 120: xxx"),
+        (
+            "for i in range(9): open(f'/dev/shm/{i}', 'wb').write(bytes(8 << 20))",
+            "No space left",
+        ),
+        ("for i in range(9): open(f'/tmp/{i}', 'wb').write(bytes(8 << 20))", "No space left"),
+        ("open('/dev/x', 'wb')", "Read-only file system"),
+        ("open('/x', 'wb')", "Read-only file system"),
         ("import os; assert os.getuid() != 0; raise SystemExit(7)", "ended with status 7"),
         ("", "plan.zarr is missing"),
     ],
@@ -136,6 +158,14 @@ def test_a_program_that_a_signal_ends_fails_with_its_name(run, name, fault):
         "problem",
         "itself",
         "disk",
+        "disk in parts",
+        "many files",
+        "disk and hang",
+        "messages",
+        "shared memory",
+        "temporary files",
+        "devices",
+        "root",
         "rights",
         "nothing",
     ],
