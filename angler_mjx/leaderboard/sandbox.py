@@ -342,7 +342,8 @@ def _check_written(out: Path) -> str:
     folders = [out]
     while folders:
         try:
-            entries = list(itertools.islice(os.scandir(folders.pop()), MAX_WRITTEN_FILES + 1))
+            with os.scandir(folders.pop()) as found:
+                entries = list(itertools.islice(found, MAX_WRITTEN_FILES + 1))
         except FileNotFoundError:  # removed since
             continue
         except OSError as error:
