@@ -1,7 +1,10 @@
 """Examples of docs/examples run, are short, and do what they say."""
 
 import importlib.util
+import math
+import os
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +12,8 @@ import pytest
 
 FOLDER = Path(__file__).parents[1] / "docs" / "examples"
 MAX_LINES = 60
-OF_ROS = {"ros2_node", "ros2_listener"}
-"""Examples that need a network of ROS 2, and are imported only."""
+WAIT_S = 20.0
+"""Longest wait for messages of ROS 2."""
 
 
 def load(name, monkeypatch):
@@ -26,7 +29,7 @@ def load(name, monkeypatch):
 def test_an_example_is_short_and_tested(file):
     lines = file.read_text(encoding="utf-8").splitlines()
     assert len(lines) < MAX_LINES
-    assert file.stem in OF_ROS or f'load("{file.stem}"' in Path(__file__).read_text("utf-8")
+    assert f'load("{file.stem}"' in Path(__file__).read_text("utf-8")
 
 
 def test_rollout(tmp_path, monkeypatch):
@@ -76,15 +79,74 @@ def test_session_a_robot_rises_and_goes_back_to_its_plan(monkeypatch):
     assert commands == ["BodyTwist", "plan", "plan", "plan", "plan"]
 
 
-@pytest.mark.parametrize("name", sorted(OF_ROS))
-def test_nodes_of_ros_are_made(name, monkeypatch):
+@pytest.fixture
+def ros(monkeypatch):
+    """A network of ROS 2, and a node of the test in it."""
     rclpy = pytest.importorskip(
         "rclpy", reason="rclpy is missing; it comes with ROS 2, or ros-kilted-rclpy"
     )
-    module = load(name, monkeypatch)
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(100 + os.getpid() % 100))
     rclpy.init()
     try:
-        node = getattr(module, "Listener", None) or module.CircleFleet
-        node(2).destroy_node()
+        yield rclpy.create_node("fleet")
     finally:
         rclpy.shutdown()
+
+
+def spin_until(condition, *nodes):
+    from rclpy.executors import SingleThreadedExecutor
+
+    executor = SingleThreadedExecutor()
+    for node in nodes:
+        executor.add_node(node)
+    end = time.monotonic() + WAIT_S
+    while not condition() and time.monotonic() < end:
+        executor.spin_once(timeout_sec=0.05)
+    assert condition()
+
+
+def test_ros2_listener_keeps_positions_and_least_clearances(ros, monkeypatch):
+    from nav_msgs.msg import Odometry
+    from sensor_msgs.msg import Range
+
+    listener = load("ros2_listener", monkeypatch).Listener(2)
+    positions = ros.create_publisher(Odometry, "/robot_1/odometry", 10)
+    clearances = ros.create_publisher(Range, "/robot_1/clearance", 10)
+    odometry = Odometry()
+    odometry.pose.pose.position.z = -5.0
+
+    def hears_all():
+        positions.publish(odometry)
+        for clearance_m in (0.75, 0.25, 0.5):
+            clearances.publish(Range(range=clearance_m))
+        return listener.position_m and listener.least_m[1] == 0.25
+
+    spin_until(hears_all, ros, listener)
+    assert listener.position_m == {1: (0.0, 0.0, -5.0)}
+    assert listener.least_m[0] == math.inf
+    listener.report()
+
+
+def test_ros2_node_turns_each_robot_its_way_and_back_to_its_depth(ros, monkeypatch):
+    from geometry_msgs.msg import Twist
+    from nav_msgs.msg import Odometry
+
+    module = load("ros2_node", monkeypatch)
+    fleet = module.CircleFleet(2)
+    twists = {0: [], 1: []}
+    publishers = []
+    for i, got in twists.items():
+        publishers.append(ros.create_publisher(Odometry, f"/robot_{i}/odometry", 10))
+        ros.create_subscription(Twist, f"/robot_{i}/cmd_vel", got.append, 10)
+
+    def is_commanded():
+        odometry = Odometry()
+        odometry.pose.pose.position.z = -5.0 if len(fleet.depths) < 2 else -5.05
+        for publisher in publishers:
+            publisher.publish(odometry)
+        return all(got and got[-1].linear.z > 0 for got in twists.values())
+
+    spin_until(is_commanded, ros, fleet)
+    assert twists[0][-1].linear.z == pytest.approx(0.05)
+    assert twists[0][-1].linear.x == pytest.approx(module.SPEED_MPS)
+    assert twists[0][-1].angular.z == -twists[1][-1].angular.z == pytest.approx(-0.25)

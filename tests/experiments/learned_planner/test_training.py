@@ -6,7 +6,7 @@ import pytest
 
 from angler_experiments.learned_planner import checkpoint
 from angler_experiments.learned_planner.shapes import NetworkSize
-from angler_experiments.learned_planner.train import examples, from_runs
+from angler_experiments.learned_planner.train import examples, from_runs, losses
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.rollout import rollout
 
@@ -36,6 +36,12 @@ def test_an_interruption_changes_no_number(several, tmp_path):
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
         np.testing.assert_array_equal(a, b)
         assert np.isfinite(np.asarray(a, float)).all()
+    curve, continued = (
+        losses.read_losses(tmp_path / name / losses.FILE) for name in ("whole", "parts")
+    )
+    assert [row.step for row in curve] == [2, 4]
+    assert curve == continued
+    assert found_loss(tmp_path / "whole") == pytest.approx(curve[-1].validation_loss, rel=1e-5)
     begun = train.initial_state(config)
     assert np.abs(np.asarray(whole.params["gap"]["w"] - begun.params["gap"]["w"])).max() > 1e-3
     found = checkpoint.load_checkpoint(tmp_path / "whole" / "weights.npz")
@@ -43,6 +49,24 @@ def test_an_interruption_changes_no_number(several, tmp_path):
     other = train.TrainConfig(**{**vars(config), "seed": 1})
     with pytest.raises(ConfigError, match="another --out"):
         train.train(other, several, tmp_path / "whole", reports.append)
+
+
+def found_loss(folder):
+    return checkpoint.load_checkpoint(folder / "weights.npz").about["loss"]
+
+
+def test_the_training_curve_is_read_as_written_and_drawn(tmp_path):
+    file = tmp_path / losses.FILE
+    assert losses.read_losses(file) == []
+    rows = [losses.LossRow(500, 0.5, 0.25), losses.LossRow(1000, 0.125, float("nan"))]
+    losses.write_losses(rows, file)
+    assert file.read_text() == "step,loss,validation_loss\n500,0.5,0.25\n1000,0.125,nan\n"
+    first, second = losses.read_losses(file)
+    assert first == rows[0]
+    assert second[:2] == rows[1][:2]
+    assert np.isnan(second.validation_loss)
+    picture = losses.plot_losses(rows, tmp_path / "losses.png")
+    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_rate_goes_up_and_then_down_over_the_steps_there_will_be():

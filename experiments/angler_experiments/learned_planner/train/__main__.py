@@ -14,7 +14,7 @@ from typing import Literal
 import tyro
 
 from angler_experiments.learned_planner.progress import ProgressClock
-from angler_experiments.learned_planner.train import collect, example_files, from_runs
+from angler_experiments.learned_planner.train import collect, example_files, from_runs, losses
 from angler_experiments.learned_planner.train.configs import CONFIGS
 from angler_experiments.learned_planner.train.examples import Examples
 from angler_experiments.learned_planner.train.loop import (
@@ -38,7 +38,7 @@ def main(
     examples: Path | None = None,
     seed: int = 0,
 ) -> None:
-    """Train, and write ``weights.npz``.
+    """Train, and write ``weights.npz``, ``losses.csv`` and ``losses.png``.
 
     Args:
         out: Folder of the weights, and of the states to resume from.
@@ -77,6 +77,7 @@ def main(
             train_config, training_set, out, seconds - report.seconds, report
         )
     train(train_config, training_set, out, report, validation_set=validation_set)
+    report(str(losses.plot_losses(losses.read_losses(out / losses.FILE), out / "losses.png")))
 
 
 def _read_folders(

@@ -17,6 +17,7 @@ from angler_experiments.learned_planner import checkpoint, flow, network
 from angler_experiments.learned_planner.checkpoint import Checkpoint
 from angler_experiments.learned_planner.network import Params
 from angler_experiments.learned_planner.shapes import NetworkSize
+from angler_experiments.learned_planner.train import losses
 from angler_experiments.learned_planner.train.examples import Examples, mirror_examples
 from angler_experiments.learned_planner.train.from_simulation import Source
 from angler_mjx.errors import ConfigError
@@ -121,10 +122,10 @@ def build_call(config: TrainConfig) -> Callable[..., tuple[TrainingState, jax.Ar
         state: TrainingState, examples: Examples, count: jax.Array, steps: jax.Array
     ) -> tuple[TrainingState, jax.Array]:
         bound_step = partial(train_step, examples, count, steps)
-        final_state, losses = jax.lax.scan(
+        final_state, step_losses = jax.lax.scan(
             lambda s, _: bound_step(s), state, None, length=config.call
         )
-        return final_state, jnp.mean(losses)
+        return final_state, jnp.mean(step_losses)
 
     return jax.jit(run)
 
@@ -193,7 +194,7 @@ def train(
     Args:
         config: settings of training.
         examples: training examples.
-        out: folder of the states and, at the end, of ``weights.npz``.
+        out: folder of the states, of ``losses.csv`` and, at the end, of ``weights.npz``.
         report: receives progress.
         stop: step at which training ends early, as after an interruption.
         size: number of training examples, the first ones; all if left out.
@@ -214,6 +215,7 @@ def train(
             shapes = jax.tree.map(ocp.utils.to_shape_dtype_struct, state)
             state = manager.restore(last, args=ocp.args.StandardRestore(shapes))
             report(f"goes on after step {last}")
+        rows = [row for row in losses.read_losses(out / losses.FILE) if row.step <= (last or 0)]
         start_s, value = time.perf_counter(), float("nan")
         while int(state.step) < min(config.steps, stop or config.steps):
             state, mean = run(state, examples, count, config.steps)
@@ -228,6 +230,8 @@ def train(
                 f"step {int(state.step)}/{config.steps}: loss {float(mean):.4f}, on worlds that "
                 f"are held back {value:.4f}, {time.perf_counter() - start_s:.0f} s"
             )
+            rows.append(losses.LossRow(int(state.step), float(mean), value))
+            losses.write_losses(rows, out / losses.FILE)
             manager.save(int(state.step), args=ocp.args.StandardSave(state))
         manager.wait_until_finished()
     if int(state.step) >= config.steps and not (out / WEIGHTS).exists():
