@@ -17,6 +17,7 @@ from angler_mjx.leaderboard import (
     problem_sets,
     set_scenarios,
 )
+from angler_mjx.leaderboard.board import BASELINES
 from angler_mjx.leaderboard.submission import Card, InFlightConfig
 from angler_mjx.leaderboard.submitted_plans import PlanRows, empty_rows
 from angler_mjx.progress import Progress
@@ -25,6 +26,7 @@ from angler_mjx.runs.simulator.world_preparation import check_planner
 from .submitting import straight_lines, write_card, write_plans
 
 NAME, MISSING = "open-still-known-01", "open-ocean-known-01"
+STORED = json.loads((problem_sets.data_folder() / BASELINES / "grid.json").read_text("utf-8"))
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +73,15 @@ def test_a_straight_line_in_open_water_is_solved(result, problems):
     episodes = pq.read_table(result / "runs" / NAME / "episodes.parquet").to_pylist()
     assert row["energy_j"] == pytest.approx(episodes[0]["energy_j"])
     assert row["clearance_m"] == pytest.approx(episodes[0]["min_clearance_m"])
+
+
+def test_the_straight_line_flies_as_the_stored_baseline_that_plans_it(result):
+    """Whatever changes this changes the benchmark's physics, and makes a version of its own."""
+    (stored,) = [row for row in STORED["scores"] if row["problem"] == f"{NAME}/0"]
+    row = scores(result)[f"{NAME}/0"]
+    assert row["makespan_s"] == pytest.approx(stored["makespan_s"], abs=0.11)
+    assert row["energy_j"] == pytest.approx(stored["energy_j"], rel=2e-3)
+    assert row["clearance_m"] == pytest.approx(stored["clearance_m"], abs=2e-3)
 
 
 def test_nan_fails_its_problem_alone(result):
