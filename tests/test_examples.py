@@ -115,13 +115,12 @@ def test_ros2_listener_keeps_positions_and_least_clearances(ros, monkeypatch):
     odometry = Odometry()
     odometry.pose.pose.position.z = -5.0
 
-    def hears_all():
-        positions.publish(odometry)
-        for clearance_m in (0.75, 0.25, 0.5):
-            clearances.publish(Range(range=clearance_m))
-        return listener.position_m and listener.least_m[1] == 0.25
-
-    spin_until(hears_all, ros, listener)
+    publishers = (positions, clearances)
+    spin_until(lambda: all(each.get_subscription_count() for each in publishers), ros, listener)
+    positions.publish(odometry)
+    for clearance_m in (0.75, 0.25, 0.5):
+        clearances.publish(Range(range=clearance_m))
+    spin_until(lambda: listener.position_m and listener.least_m[1] == 0.25, ros, listener)
     assert listener.position_m == {1: (0.0, 0.0, -5.0)}
     assert listener.least_m[0] == math.inf
     listener.report()
