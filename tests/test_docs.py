@@ -3,15 +3,18 @@
 import builtins
 import importlib
 import importlib.util
+import inspect
 import re
 import subprocess
 import symtable
+import tomllib
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
+from angler_mjx.cli import reference, scenarios
 from angler_mjx.learning.datasets import index, manifest
-from angler_mjx.scenario import reference
 
 ROOT = Path(__file__).parent.parent
 PAGES = (
@@ -91,12 +94,12 @@ def test_every_page_is_reached_from_the_first():
     assert {page for page in PAGES if "docs" in page.parts} - seen == set()
 
 
-@pytest.mark.parametrize("kind", ["scenario", "vehicle"])
+@pytest.mark.parametrize("kind", list(reference.PAGES))
 def test_the_reference_is_that_of_the_models(kind):
     page = (ROOT / "docs" / "generated" / f"{kind}.md").read_text(encoding="utf-8")
     assert page == reference.format_page(kind)
     rows = [line for line in page.splitlines() if line.startswith("| `")]
-    assert len(rows) > 40
+    assert len(rows) > 30
     assert not [row for row in rows if row.endswith("|  |")]  # every key has a meaning
 
 
@@ -109,6 +112,32 @@ def test_the_reference_has_every_key_of_the_shipped_files():
         for path in folder.rglob("*.toml"):
             for key in re.findall(r"^([a-z_0-9]+) = ", path.read_text(), re.M):
                 assert f"| `{key}` |" in page, f"{path.name}: {key}"
+
+
+@pytest.mark.parametrize(
+    ("kind", "folder"),
+    [
+        ("study", "angler_mjx/studies/benchmark/shipped"),
+        ("study", "angler_mjx/studies/fleet_size/shipped"),
+        ("study", "docs/fleet_size"),
+        ("dataset", "angler_mjx/learning/datasets/shipped"),
+    ],
+)
+def test_the_reference_has_every_key_of_the_shipped_studies(kind, folder):
+    """Keys of the file and of its lists of tables; those of `set` are keys of scenarios."""
+    page, files = reference.format_page(kind), list((ROOT / folder).glob("*.toml"))
+    assert files
+    for path in files:
+        file = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = [entry for value in file.values() if isinstance(value, list) for entry in value]
+        for table in [file, *(entry for entry in tables if isinstance(entry, dict))]:
+            missing = [key for key in table if f"| `{key}` |" not in page]
+            assert not missing, path.name
+
+
+def test_a_reference_is_printed_for_each_kind_of_file():
+    annotation = inspect.signature(scenarios.print_reference).parameters["file"].annotation
+    assert list(get_args(get_args(annotation)[0])) == list(reference.PAGES)
 
 
 def test_every_field_of_a_dataset_is_documented():

@@ -1,4 +1,4 @@
-"""`angler scenarios`: list shipped scenarios, print a file, print the keys of such files."""
+"""`angler scenarios`: list shipped scenarios, print a file, print the keys of files."""
 
 import sys
 from pathlib import Path
@@ -35,13 +35,15 @@ def show_scenario(scenario: Annotated[str, tyro.conf.Positional]) -> None:
     sys.stdout.write(escape_control_characters(text, keep="\n\t") if sys.stdout.isatty() else text)
 
 
-def print_reference(file: Annotated[Literal["scenario", "vehicle"], tyro.conf.Positional]) -> None:
+def print_reference(
+    file: Annotated[Literal["scenario", "vehicle", "study", "dataset"], tyro.conf.Positional],
+) -> None:
     """Print the keys of a file: types, units, defaults, bounds, meanings.
 
     Args:
         file: Kind of file.
     """
-    from angler_mjx.scenario.reference import format_page
+    from angler_mjx.cli.reference import format_page
 
     sys.stdout.write(format_page(file))
 

@@ -27,14 +27,16 @@ class DatasetScene(FileModel):
     """Worlds of one kind, with teams of some sizes."""
 
     name: DatasetName
+    """Name of the scene, unique in the file; also a part of the names of run folders."""
     weight: float = Field(default=1.0, gt=0.0, le=1e6)
     """Weight of its episodes relative to the other scenes."""
     set: Changes = Field(default_factory=dict)
     """Keys of the scenario that differ in the scene; tables are merged."""
     teams: tuple[Annotated[int, Field(ge=1, le=1024)], ...] = ()
-    """Numbers of robots, in equal fractions; the scenario's fleet if left out."""
+    """Team sizes [robots], each with the same fraction of the episodes; the scenario's fleet if
+    left out."""
     shifted: bool = False
-    """Whether the scene is for testing alone: all its episodes are a test by its name."""
+    """Whether the scene is for testing alone: all its episodes are of the split test_NAME."""
 
     @property
     def split(self) -> str | None:
@@ -50,11 +52,14 @@ class Expert(PlannerEntry):
 
 
 class SplitConfig(FileModel):
-    """Fractions of the environments by split, in scenes that are not shifted."""
+    """Fractions of the environments by split, in scenes that are not shifted; their sum is 1."""
 
     train: float = Field(default=0.8, ge=0.0, le=1.0)
+    """Fraction for training."""
     val: float = Field(default=0.1, ge=0.0, le=1.0)
+    """Fraction for validation."""
     test: float = Field(default=0.1, ge=0.0, le=1.0)
+    """Fraction for tests."""
 
     @model_validator(mode="after")
     def _check_sum(self) -> Self:
@@ -65,14 +70,14 @@ class SplitConfig(FileModel):
 
 
 class DatasetConfig(FileModel):
-    """Dataset file."""
+    """A whole dataset file. Each scene, team size and expert is a part of the episodes."""
 
     schema_version: SchemaVersion = 1
     """Version of the file format."""
     name: DatasetName
     """Name of the dataset, and of its folder unless that is named otherwise."""
     description: str = ""
-    """Description for people."""
+    """Free text for readers; the head of the dataset card."""
     licence: Annotated[str, Field(min_length=1, max_length=200)] = "CC-BY-4.0"
     """Licence of the data, an SPDX identifier where one exists."""
     scenario: str
@@ -80,12 +85,14 @@ class DatasetConfig(FileModel):
     seed: int = Field(default=0, ge=0, lt=2**31)
     """Seed of the dataset; each part has a seed of its own, derived from it."""
     set: Changes = Field(default_factory=dict)
-    """Keys of the scenario that differ in this dataset; tables are merged."""
+    """Keys of the scenario that differ in this dataset; tables are merged. Keys that this file
+    replaces by keys of its own, such as seed or policy, are refused with the key to use."""
     split: SplitConfig = SplitConfig()
     sample: SampleConfig = SampleConfig()
-    """Fractions of the chosen episodes."""
     scene: tuple[DatasetScene, ...] = Field(min_length=1, max_length=256)
+    """Kinds of worlds, each with a name of its own."""
     expert: tuple[Expert, ...] = Field(min_length=1, max_length=64)
+    """Pilots of the flights, each with a label of its own."""
 
     @model_validator(mode="after")
     def _check_unique_names(self) -> Self:

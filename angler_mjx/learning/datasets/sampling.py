@@ -25,10 +25,17 @@ FAILED: Kind = "failed"
 
 
 class SampleConfig(FileModel):
-    """Lower and upper bounds of the fraction of each kind among the chosen episodes."""
+    """Lower and upper bounds of the fraction of each kind among the chosen episodes.
+
+    They hold in each of train, val and test, not in shifted scenes.
+    """
 
     at_least: dict[Kind, float] = Field(default_factory=dict)
+    """Min fraction of each kind, 0 to 1; failed: not all of the team arrived. Those of the others
+    sum to at most 1."""
     at_most: dict[Kind, float] = Field(default_factory=dict)
+    """Max fraction of each kind, 0 to 1, at least that of `at_least`. Those of all but failed sum
+    to at least 1, with 1 for a kind that is left out."""
 
     @model_validator(mode="after")
     def _check_feasible(self) -> Self:

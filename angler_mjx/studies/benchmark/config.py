@@ -1,4 +1,4 @@
-"""What a benchmark file says: planners, and the scenes whose problems all of them are asked."""
+"""Benchmark file: planners, and the scenes whose problems all of them receive."""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -18,31 +18,36 @@ type Label = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00
 
 
 class PlannerEntry(FileModel):
-    """One of those that are compared: a planner, flown as it planned or online, or a policy."""
+    """A planner, flown as it planned or online, or a policy."""
 
     renamed_keys: ClassVar[Mapping[str, str]] = {"knows": "information"}
 
     name: PlannerName = ""
-    """One that `angler plan --list` names, or FILE.py:CLASS, from the folder of this file."""
+    """A planner of `angler plan --list`, or FILE.py:CLASS; required without a policy."""
     policy: PolicyName | None = None
-    """Instead of a planner: a policy by its name in a scenario, such as mppi, or FILE.py:CLASS,
-    which flies without plans."""
+    """Policy in place of a planner: its name in a scenario, such as mppi, or FILE.py:CLASS; flies
+    without plans."""
     label: Label | None = None
-    """What tables and figures call it; its name, or its class, and how it is flown if left out."""
+    """Name in tables and figures, unique in the file; if left out, the name or class, and how it is
+    flown."""
     settings: dict[str, Any] = Field(default_factory=dict)
-    """Its own, as in the scenario's table [planner.NAME], [policy.NAME] or [policy.CLASS]."""
+    """Settings that differ from the defaults, as in the scenario's table [planner.NAME],
+    [policy.NAME] or [policy.CLASS]."""
     information: InformationConfig | None = None
-    """What it is told, whatever others are told: for planners that can make no use of more."""
-    replan_hz: float = 0.0
-    """As in the scenario's table [planner]: plans are made anew so often in flight."""
-    delay_s: float = 0.0
-    """As in the scenario's table [planner]."""
+    """Information that it receives, whatever others receive; that of the file, or of the scenario,
+    if left out."""
+    replan_hz: float = Field(default=0.0, ge=0.0, le=1e4)
+    """Rate of replanning in flight, as the scenario's planner.replan_hz; 0: none."""
+    delay_s: float = Field(default=0.0, ge=0.0, le=86400.0)
+    """Delay from the state that a new plan starts from until it is flown, as the scenario's
+    planner.delay_s."""
     order: Literal["free", "kept"] | None = None
-    """As in the scenario's table [execution]; the scenario's if left out."""
+    """Order of robots at crossings, as the scenario's execution.order; the scenario's if left
+    out."""
     presets: tuple[str, ...] = ()
-    """Of the file's presets those whose problems it is asked; all if left out."""
+    """Presets of worlds that it flies in; all if left out."""
     teams: tuple[Annotated[int, Field(ge=1, le=1024)], ...] = ()
-    """Sizes of teams that it is asked; all if left out."""
+    """Team sizes [robots] that it flies with; all if left out."""
 
     @model_validator(mode="after")
     def _require_planner_or_policy(self) -> Self:
@@ -74,13 +79,13 @@ class PlannerEntry(FileModel):
 
     @property
     def online(self) -> dict[str, object]:
-        """How its plans are looked after while they are flown; empty if they are not."""
+        """Return the keys of replanning and of the order of robots that are set."""
         options = {key: getattr(self, key) for key in ("replan_hz", "delay_s", "order")}
         return {key: value for key, value in options.items() if value}
 
     @property
     def title(self) -> str:
-        """Its label."""
+        """Return the label, or the default one."""
         if self.label:
             return self.label
         name = (self.policy or self.name).rpartition(":")[2]
@@ -94,56 +99,62 @@ class PlannerEntry(FileModel):
 
 
 class SceneEntry(FileModel):
-    """What the world is like in some of the problems."""
+    """Worlds of one kind: those of the scenario with changed keys."""
 
     name: Label
+    """Name in tables and figures, unique in the file."""
     set: Changes = Field(default_factory=dict)
-    """Keys of the scenario that are otherwise here; tables are merged."""
+    """Keys of the scenario that differ in the scene; tables are merged."""
 
 
 class BenchmarkConfig(FileModel):
-    """A whole benchmark file. Every planner is asked every problem.
+    """A whole benchmark file. Every planner receives every problem.
 
-    The problems are those of each scene in each preset, for each size of team, each seed, and each
-    thing that may be known.
+    The problems are those of each scene in each preset, for each team size, each seed, and each
+    level of information.
     """
 
     renamed_keys: ClassVar[Mapping[str, str]] = {"knows": "information"}
 
     schema_version: SchemaVersion = 1
-    """Of this form of files."""
+    """Version of the file format."""
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)
-    """Of the results folder, if it is given none."""
+    """Name of the benchmark; also of the results folder, unless `--out` names one."""
     description: str = ""
-    """For people."""
+    """Free text for readers."""
     scenario: str
-    """That all problems are made of: a shipped one, or a file, from the folder of this one."""
+    """Scenario of all problems: a shipped one, or a file, relative to the folder of this file."""
     set: Changes = Field(default_factory=dict)
-    """Keys of the scenario that are otherwise in this benchmark; tables are merged."""
+    """Keys of the scenario that differ in this benchmark; tables are merged. Keys that this file
+    replaces by keys of its own, such as worlds or planner.name, are refused with the key to use."""
     presets: tuple[str, ...] = ()
-    """Of worlds, each with its own horizon unless set.time.horizon_s is given; the scenario's, with
-    its horizon, if left out."""
+    """Presets of worlds, each with its own horizon unless set.time.horizon_s is set; if left out,
+    the scenario's, with its horizon."""
     scene: tuple[SceneEntry, ...] = ()
-    """What else the worlds differ in; nothing if left out."""
+    """Kinds of worlds that differ in other keys; one, the scenario as it is, if left out."""
     teams: tuple[Annotated[int, Field(ge=1, le=1024)], ...] = ()
-    """Numbers of robots, taken from the entries of the scenario's fleet in proportion to their
+    """Team sizes [robots], divided among the entries of the scenario's fleet in proportion to their
     counts; the scenario's fleet if left out."""
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**31)], ...] = ()
-    """Of the worlds; the scenario's if left out."""
+    """Seeds of the worlds; the scenario's if left out."""
     problems: int = Field(default=30, ge=1, le=100_000)
-    """Worlds of each scene, team and seed."""
+    """Number of worlds of each scene, preset, team size and seed."""
     information: tuple[InformationConfig, ...] = ()
-    """What the planners may know; the scenario's if left out."""
+    """Levels of information that planners receive, each a set of problems; the scenario's if left
+    out."""
     deadline_s: float = Field(default=5.0, gt=0.0, le=86400.0)
-    """Wall-clock time for each problem."""
+    """Wall-clock time of a planner for each problem."""
     points: int | None = Field(default=None, ge=2, le=MAX_POINTS)
-    """Most way-points of a path; the scenario's if left out."""
+    """Max number of waypoints of a path; a longer path counts as no plan. The scenario's
+    planner.points if left out."""
     close_after: int = Field(default=0, ge=0)
-    """A planner whose first so many problems of a scene, team and seed all ended without any plan
-    is not asked the others; 0 asks all."""
+    """Number of problems without any plan, the first ones of a scene, team size and seed, after
+    which a planner skips the others; 0: never."""
     examples: int = Field(default=1, ge=0, le=100)
-    """Problems of each scene and team that are kept to be drawn, with plans and flights."""
+    """Number of worlds of each scene and team size that are kept for figures, with plans and
+    flights."""
     planner: tuple[PlannerEntry, ...] = Field(min_length=1, max_length=256)
+    """Compared planners and policies, each with a label of its own; auto is refused."""
 
     @field_validator("presets")
     @classmethod
@@ -162,7 +173,7 @@ class BenchmarkConfig(FileModel):
 
 
 def _check_presets(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names that are of presets."""
+    """Return the names of presets, and refuse others."""
     for name in names:
         presets.load_preset(name)
     return names

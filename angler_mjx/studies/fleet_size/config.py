@@ -1,4 +1,4 @@
-"""What a fleet-size file says: a task, sizes of teams, conditions, and when the answer is good."""
+"""Fleet-size file: a task, team sizes, conditions, and the required precision of the answer."""
 
 import itertools
 import math
@@ -30,12 +30,12 @@ RESERVED_KEYS = {
 
 
 class SpanConfig(FileModel):
-    """All sizes from one to another."""
+    """Span of team sizes, of which those are flown that the answer depends on."""
 
     from_: Size = Field(default=1, alias="from")
-    """The smallest team."""
+    """Smallest team size [robots]."""
     to: Size
-    """The largest team."""
+    """Largest team size [robots]; above `from`."""
 
     @model_validator(mode="after")
     def _require_rising(self) -> Self:
@@ -45,14 +45,14 @@ class SpanConfig(FileModel):
 
 
 class SizeConfig(FileModel):
-    """What the size of a team is in the scenario."""
+    """Key of the scenario that holds the team size."""
 
     key: str = Field(default="fleet.0.count", min_length=1, max_length=200)
-    """The key that it sets; entries of lists by their index from 0."""
+    """Dotted key; entries of lists by their index from 0."""
 
 
 class BudgetConfig(FileModel):
-    """How much is flown."""
+    """Limits of the worlds that are flown."""
 
     renamed_keys: ClassVar[Mapping[str, str]] = {
         "most_minutes": "max_minutes",
@@ -60,12 +60,13 @@ class BudgetConfig(FileModel):
     }
 
     batch: int = Field(default=256, ge=1, le=100_000)
-    """Worlds of one size and condition that are flown before the answer is looked at again."""
+    """Number of worlds of one size and condition between two evaluations of the answer."""
     max_worlds: int = Field(default=4096, ge=1, le=MAX_WORLDS)
-    """Of one size and condition; whole batches."""
+    """Max number of worlds of one size and condition, at least one batch; rounded up to whole
+    batches."""
     max_minutes: float | None = Field(default=None, gt=0.0, le=1e6)
-    """No batch begins later than this after the study, or its resumption, began; no limit if left
-    out. The only setting by which two runs of a study may end differently."""
+    """Wall-clock time after the start or resumption of the study from which no batch begins; no
+    limit if left out. The only key by which two runs of a study may end differently."""
 
     @model_validator(mode="after")
     def _require_whole_batch(self) -> Self:
@@ -75,12 +76,12 @@ class BudgetConfig(FileModel):
 
 
 class ConditionConfig(FileModel):
-    """One kind of worlds and robots."""
+    """Worlds and robots of one kind."""
 
     name: Name
-    """As tables and figures call it."""
+    """Name in tables and figures, unique in the file."""
     set: Changes = Field(default_factory=dict)
-    """Keys of the scenario that are otherwise here; tables are merged."""
+    """Keys of the scenario that differ in the condition; tables are merged."""
 
 
 class FleetSizeConfig(FileModel):
@@ -91,41 +92,42 @@ class FleetSizeConfig(FileModel):
     }
 
     schema_version: SchemaVersion = 1
-    """Of this form of files."""
+    """Version of the file format."""
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)
-    """Of the study's folder, if it is given none."""
+    """Name of the study; also of its folder, unless `--out` names one."""
     description: str = ""
-    """For people."""
+    """Free text for readers."""
     scenario: str
-    """That is flown: a shipped one, or a file, from the folder of this one."""
+    """Scenario that is flown: a shipped one, or a file, relative to the folder of this file."""
     set: Changes = Field(default_factory=dict)
-    """Keys of the scenario that are otherwise in this study; tables are merged."""
+    """Keys of the scenario that differ in this study; tables are merged. Keys that this file
+    replaces by keys of its own, such as worlds or seed, are refused with the key to use."""
     sizes: tuple[Size, ...] | SpanConfig
-    """Of teams: a list, all of which are flown; or { from = 1, to = 64 }, of which those are flown
-    that the answer hangs on."""
+    """Team sizes [robots]: an increasing list, all of which are flown, or a span, { from = 1,
+    to = 64 }, of which those are flown that the answer depends on."""
     size: SizeConfig = SizeConfig()
     deadline_s: float = Field(gt=0.0, le=1e7)
-    """The task is to be done by then, from the start of a world."""
+    """Time limit of the task from the start of a world; at most the scenario's time.horizon_s."""
     fraction: float = Field(default=1.0, gt=0.0, le=1.0)
-    """Where the scenario has no task but a goal for each robot: the share of the team that is to
-    arrive."""
+    """Fraction of the team that must arrive; only for scenarios without a task, where each robot
+    has a goal."""
     arrivals: int | None = Field(default=None, ge=1, le=1024)
-    """Instead of a share: so many robots are to arrive, however many set off."""
+    """Number of robots that must arrive, of any team size; in place of `fraction`."""
     probability: float = Field(default=0.95, ge=0.01, le=0.999)
-    """With which the deadline is to be met."""
+    """Required probability to meet the deadline."""
     confidence: float = Field(default=0.95, ge=0.5, le=0.999)
-    """Of the interval of the answer."""
+    """Confidence of the interval of the answer."""
     within: int = Field(default=1, ge=0, le=1024)
-    """The answer is sharp enough where its interval holds at most 2 within + 1 sizes of the
+    """Required precision: the interval of the answer holds at most 2 within + 1 sizes of the
     file."""
     seed: int = Field(default=0, ge=0, lt=2**31)
-    """Of the worlds: world i is the same for all sizes and conditions, as far as they allow."""
+    """Seed of the worlds; world i is the same in all sizes and conditions, as far as they allow."""
     budget: BudgetConfig = BudgetConfig()
     axis: dict[Name, dict[Name, Changes]] = Field(default_factory=dict)
-    """Things that differ, each with its values by name; a value holds keys of the scenario, as set
-    does. Conditions are all combinations."""
+    """Axes of the conditions: values by name, each with keys of the scenario, as `set` has.
+    Conditions are all combinations, at most 64 with those of `condition`."""
     condition: tuple[ConditionConfig, ...] = ()
-    """Conditions that are no combination; combined with axes where both are given."""
+    """Conditions by name; with axes, each is combined with all of their combinations."""
 
     @model_validator(mode="after")
     def _require_one_measure(self) -> Self:
@@ -187,13 +189,13 @@ class FleetSizeConfig(FileModel):
         return self
 
     def all_sizes(self) -> tuple[int, ...]:
-        """Sizes that can be the answer, increasing."""
+        """Return the sizes that can be the answer, increasing."""
         if isinstance(self.sizes, SpanConfig):
             return tuple(range(self.sizes.from_, self.sizes.to + 1))
         return self.sizes
 
     def required_arrivals(self, robots: int) -> int:
-        """Robots of a team that have to arrive; of a task with several jobs nobody asks."""
+        """Return the number of robots of a team that must arrive, of a scenario without a task."""
         if self.arrivals is not None:
             return self.arrivals
         return max(1, math.ceil(self.fraction * robots - 1e-9))
