@@ -35,7 +35,15 @@ from angler_sitl.wire.mission_upload import UploadItem
 
 
 class SitlSession(AutopilotSession[Autopilots]):
-    """`Session` over one world of a scenario, steered by real autopilots; a context manager."""
+    """`Session` over one world of a scenario, steered by ArduSub processes; a context manager.
+
+    Commands, observations and shapes are those of `Session`: lengths in m in W (x east, y north, z
+    up), velocities in F, signals in us. Processes and water are stepped together at 400 Hz. Levels,
+    estimates and times: `docs/reference/sitl.md`.
+
+    Attributes:
+        settings: settings of the autopilots that the next reset starts.
+    """
 
     def __init__(
         self,
@@ -76,7 +84,8 @@ class SitlSession(AutopilotSession[Autopilots]):
             points: max number of points of a JointTrajectory.
             start_tolerance: max distance from a robot to the start of a path, m and rad; 0 is any
                 distance.
-            tolerances: of JointTrajectories, for x, y, z and yaw; those of `paths` if left out.
+            tolerances: tolerances of JointTrajectories for x, y, z and yaw; those of `paths` if
+                left out.
             home: position of W's origin on the globe; one in the sea if left out.
             missions: mission items of each robot, home first, for `start_missions`.
 
@@ -138,7 +147,12 @@ class SitlSession(AutopilotSession[Autopilots]):
     def reset(self, seed: int | None = None, *, worlds: World | None = None) -> Observation:
         """Reset as `Session.reset`: new processes, armed, vehicles at rest at their starts.
 
-        If ``worlds`` is given, no world is sampled; [1] leads, shapes stay.
+        Args:
+            seed: seed of all samples; that of the scenario if left out.
+            worlds: world [1] to fly in place of a sampled one, with the shapes of the sampled one.
+
+        Raises:
+            RunError: the session is closed, or an autopilot does not come up.
         """
         self._require_open()
         self._stop_autopilots()

@@ -4,10 +4,16 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import find_spec
 from inspect import isclass, isfunction
 from pathlib import Path
 
+from sphinx.ext.autodoc.mock import mock
+
 FILE = Path(__file__).parent / "api.toml"
+
+MOCKED = [name for name in ("torch",) if find_spec(name) is None]
+"""Libraries of no extra, which documented modules import, where they are not installed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +67,8 @@ def _heading(title: str, mark: str) -> str:
 def resolve_name(name: str) -> object:
     """Return what a name with its module stands for."""
     module, _, attribute = name.rpartition(".")
-    return getattr(import_module(module), attribute)
+    with mock(MOCKED):
+        return getattr(import_module(module), attribute)
 
 
 def _first_line(name: str) -> str:

@@ -6,6 +6,9 @@ from dataclasses import fields, is_dataclass
 from inspect import isclass
 from typing import Any
 
+from sphinx.util.inspect import signature as read_signature
+from sphinx.util.inspect import stringify_signature
+
 MAX_SIGNATURE_FIELDS = 6
 """A dataclass with more fields is shown without a signature: its attributes follow."""
 
@@ -14,7 +17,7 @@ PAGE = re.compile(r"`{1,2}docs/([a-z0-9_/]+)\.md`{1,2}")
 _attribute_texts: dict[str, list[str]] = {}
 
 
-def drop_signature(
+def format_signature(
     app: object,
     what: str,
     name: str,
@@ -23,10 +26,18 @@ def drop_signature(
     signature: str | None,
     returns: str | None,
 ) -> tuple[str | None, str | None]:
-    """Drop signatures of interfaces, of models of files, and of dataclasses with many fields."""
+    """Drop signatures of interfaces, of models of files, and of dataclasses with many fields.
+
+    A class whose base is mocked has the signature of its ``__init__``.
+    """
     del app, what, name, options
     if not isclass(value):
         return signature, returns
+    if hasattr(value, "__sphinx_mock__"):
+        found = read_signature(value.__init__, bound_method=True)
+        return stringify_signature(
+            found, show_return_annotation=False, unqualified_typehints=True
+        ), None
     is_interface = getattr(value, "_is_protocol", False) or bool(
         getattr(value, "__abstractmethods__", ())
     )
@@ -87,7 +98,7 @@ def restore_attribute(
 
 def setup(app: Any) -> dict[str, bool]:
     """Connect the functions above to Sphinx; Napoleon's priority is 500."""
-    app.connect("autodoc-process-signature", drop_signature)
+    app.connect("autodoc-process-signature", format_signature)
     app.connect("autodoc-skip-member", skip_foreign_member)
     app.connect("autodoc-process-docstring", link_pages, priority=300)
     app.connect("autodoc-process-docstring", keep_attribute, priority=400)

@@ -1,8 +1,8 @@
-"""Whether a team can be somewhere, and go straight from there to elsewhere: compiled and exact.
+"""Collision checks of states and straight edges of a team, compiled and exact.
 
 Each robot is the sphere about its centre of mass that holds its hull, so headings do not matter.
-An edge moves all robots at once, each along a straight line, all at the same share of it. No point
-of an edge is sampled: balls that are swept along lines are tested as a whole.
+An edge moves all robots at once, each along a straight line, all at the same fraction of it. No
+point of an edge is sampled: balls that are swept along lines are tested as a whole.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,16 +22,17 @@ MAX_NEAR_REACH = 0.99
 
 
 class EdgeChecker:
-    """Checks states and edges of the team of one problem.
+    """Check states and edges of the team of one problem; positions are in m in W.
 
-    Cells, the faces of the cube (the spheres stay within), the sea floor, obstacles that stand, and
-    the robots among each other. A state or edge nearer than ``margin_m`` is not free; one farther
-    than ``margin_m + SLACK_M`` is.
+    Robots are spheres about their centres of mass. They are checked against cells, the faces of the
+    cube (the spheres stay within), the sea floor, obstacles that stand, and each other. A state or
+    edge nearer than ``margin_m`` is not free; one farther than ``margin_m`` + 1e-5 m is. NaN and
+    infinite positions are not free. See `docs/reference/collision.md`.
 
     Attributes:
         robots: number of checked robots, R.
-        edge_flat: one edge, from and to float64 [3 R] (contiguous); the fastest entry.
-        state_flat: one state, float64 [3 R].
+        edge_flat: check of one edge, from and to float64 [3 R] (contiguous); the fastest entry.
+        state_flat: check of one state, float64 [3 R].
         packed: the problem as arguments of compiled functions.
     """
 
@@ -48,14 +49,14 @@ class EdgeChecker:
         robots: Sequence[int] | None = None,
         moving: Moving = "ignored",
     ) -> None:
-        """Make a problem ready.
+        """Pack a problem for the compiled functions.
 
         Args:
-            problem: arrays of NumPy.
-            margin_m: to be kept beyond the radii, to anything and between robots.
-            robots: which of the team, in which order; all of it where left out.
-            moving: whether checks without a time take obstacles that move, as far as they are
-                known, for standing where they are at t = 0.
+            problem: problem with arrays of NumPy.
+            margin_m: required distance beyond the radii, to anything and between robots.
+            robots: indices of the checked robots in the team, in order; all if left out.
+            moving: ``at_start``: checks without a time take moving obstacles of the problem for
+                standing at their positions at t = 0; ``ignored``: they leave them out.
 
         Raises:
             ConfigError: the margin is negative, there is no such robot, or a number of the problem
@@ -71,30 +72,33 @@ class EdgeChecker:
         self.state_flat = partial(sweeping.is_state_free, *self.packed)
 
     def state(self, p: np.ndarray) -> bool:
-        """Return whether the team can be at p [R, 3], m, W."""
+        """Return whether the team is free at p [R, 3], m, W."""
         return self.state_flat(self._flatten_state(p))
 
     def states(self, p: np.ndarray) -> np.ndarray:
-        """Return whether the team can be at each of p [n, R, 3]; bool [n]."""
+        """Return whether the team is free at each of p [n, R, 3], m, W; bool [n]."""
         flat = self._flatten_states(p)
         return sweeping.are_edges_free(*self.packed, flat, flat)
 
     def edge(self, a: np.ndarray, b: np.ndarray) -> bool:
-        """Return whether the team can go from a [R, 3] to b [R, 3], m, W."""
+        """Return whether the edge from a [R, 3] to b [R, 3], m, W, is free."""
         return self.edge_flat(self._flatten_state(a), self._flatten_state(b))
 
     def edges(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Return whether the team can go from each of a to each of b [n, R, 3]; bool [n]."""
+        """Return whether the edges from a to b [n, R, 3], m, W, are free; bool [n]."""
         return sweeping.are_edges_free(
             *self.packed, self._flatten_states(a), self._flatten_states(b)
         )
 
     def clearance(self, p: np.ndarray) -> float:
-        """Return the least distance of any robot's sphere to anything, m; negative on overlap."""
+        """Return the clearance [m] of the team at p [R, 3], m, W; negative on overlap.
+
+        The minimum over all robots of the distance of a sphere to anything.
+        """
         return float(self.clearances(np.asarray(p)[None])[0])
 
     def clearances(self, p: np.ndarray) -> np.ndarray:
-        """Return `clearance` of each of p [n, R, 3]; float64 [n]."""
+        """Return the `clearance` [m] at each of p [n, R, 3], m, W; float64 [n]."""
         self._measure_rings()
         return sweeping.team_clearances(*self.packed, self._flatten_states(p))
 
@@ -107,19 +111,22 @@ class EdgeChecker:
         t_b: float,
         traffic: Traffic,
     ) -> bool:
-        """Return whether one robot can go from a [3] at t_a to b [3] at t_b, s, at one speed.
+        """Return whether one robot is free from a [3] at t_a to b [3] at t_b, at one speed.
 
-        Looked at are cells, faces, floor, obstacles that stand, those that move (their bounding
-        spheres along lines between the places that are known, whatever ``moving`` says), and the
-        traffic; no robot that is not in the traffic.
+        The robot is checked against cells, faces, floor, obstacles that stand, obstacles that move
+        (bounding spheres along lines between the positions of the problem, whatever ``moving`` is),
+        and the traffic; other robots count only as traffic.
 
         Args:
-            robot: its place among those that are checked.
-            a: m, W.
-            t_a: 0 or later.
-            b: where it stays the whole time, if it is a.
-            t_b: not before t_a; inf for a robot that stays.
-            traffic: the other robots' paths.
+            robot: index among the checked robots.
+            a: position [3] at the start, m, W.
+            t_a: time of the start, s; 0 or later.
+            b: position [3] at the end, m, W; equal to ``a`` for a robot that stays.
+            t_b: time of the end, s, not before ``t_a``; inf for a robot that stays for good.
+            traffic: paths of the other robots.
+
+        Raises:
+            ConfigError: there is no such robot.
         """
         robot_index = self._check_robot_index(robot)
         start_m, goal_m = (np.ascontiguousarray(p, np.float64).reshape(3) for p in (a, b))
@@ -142,7 +149,11 @@ class EdgeChecker:
         t_b: np.ndarray,
         traffic: Traffic,
     ) -> np.ndarray:
-        """Return `timed_edge` of each of a, b [n, 3] and t_a, t_b [n]; bool [n]."""
+        """Return `timed_edge` of each of a, b [n, 3], m, W, and t_a, t_b [n], s; bool [n].
+
+        Raises:
+            ConfigError: there is no such robot.
+        """
         robot_index = self._check_robot_index(robot)
         starts_m, goals_m = (np.ascontiguousarray(p, np.float64).reshape(-1, 3) for p in (a, b))
         begin, end = (np.ascontiguousarray(t, np.float64).reshape(-1) for t in (t_a, t_b))

@@ -53,9 +53,10 @@ class Job:
 
 
 class Pool(ABC):
-    """Plans problems in processes, whose runners take jobs from one queue.
+    """Base of pools, which plan problems in processes; their runners take jobs from one queue.
 
-    Use it in a ``with`` statement: on leaving it, by an exception too, its processes are gone.
+    A context manager: after its ``with`` statement, and after an exception too, its processes are
+    gone.
 
     Attributes:
         count: problems that are planned at the same time.
@@ -98,11 +99,11 @@ class Pool(ABC):
 
         Args:
             problem: arrays of NumPy, or of JAX, which are fetched.
-            planner: its planner; the pool's own if left out. A planner that cannot be made gives an
-                answer with the status ``error`` and the reason.
+            planner: planner of the problem; that of the pool if left out. A planner that cannot be
+                made gives an answer with the status ``error`` and the reason.
 
         Raises:
-            ConfigError: no planner is given, and the pool has none of its own.
+            ConfigError: the planner is left out, and the pool has none.
             RunError: the pool is closed, or cannot plan.
         """
         if self._closing.is_set():

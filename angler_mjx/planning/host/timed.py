@@ -18,18 +18,26 @@ from angler_mjx.planning.host.compiled.sweeping import (
 
 @dataclass(frozen=True, kw_only=True)
 class Traffic:
-    """Balls that go along lines in time; they stand before their first and after their last."""
+    """Paths of K balls in time, linear between P points; constant before the first, after the last.
+
+    `Traffic.of` builds them from arrays of any real type.
+    """
 
     time_s: np.ndarray
-    """float64 [K, P], not falling."""
+    """float64 [K, P] times of the points, not falling."""
     position_m: np.ndarray
-    """float64 [K, P, 3], W; where two times are the same, all of the line between counts."""
+    """float64 [K, P, 3] points in W; where two times are equal, all of the line between counts."""
     radius_m: np.ndarray
-    """float64 [K]."""
+    """float64 [K] radii."""
 
     @classmethod
     def of(cls, time_s: np.ndarray, position_m: np.ndarray, radius_m: np.ndarray) -> Self:
         """Build traffic from arrays of any real type.
+
+        Args:
+            time_s: times [K, P] of the points, s, not falling.
+            position_m: points [K, P, 3], m, W.
+            radius_m: radii [K], m.
 
         Raises:
             ConfigError: the shapes do not belong together, a time falls, or a number is not finite.

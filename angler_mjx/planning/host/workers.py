@@ -21,13 +21,13 @@ GRACE_S = 0.5
 
 
 class Workers(Pool):
-    """A pool of processes on this machine.
+    """Pool of processes on this machine.
 
-    Problems are answered in any order, and may be submitted while others are planned. A process
-    makes a planner at its first problem and keeps it; all planners of a process share its memory
-    and imports. A planner with a method ``warm_up(problem)`` receives the first problem there
-    before the clock starts, to compile. The answer holds the planner's ``extras`` (names and
-    numbers of its last plan).
+    Methods are those of `Pool`. Problems are answered in any order, and may be submitted while
+    others are planned. A process makes a planner at its first problem and keeps it; all planners of
+    a process share its memory and imports. A planner with a method ``warm_up(problem)`` receives
+    the first problem there before the clock starts, to compile. The answer holds the planner's
+    ``extras`` (names and numbers of its last plan).
 
     A planner has 1.1 times the problem's deadline: a later answer is not used, and half a second
     after the limit the process is killed. A problem whose process dies is planned again, once.

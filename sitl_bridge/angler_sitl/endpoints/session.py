@@ -65,33 +65,40 @@ class LossError(RunError):
 
 @dataclass(frozen=True, kw_only=True)
 class EndpointSettings:
-    """Vehicles and limits, as the user names them."""
+    """Vehicles and limits of an `EndpointSession`."""
 
     endpoints: Sequence[str]
     """Connection strings: one for each robot, or one for all; see `angler_sitl.wire.endpoint`."""
     sysids: Sequence[int] = ()
     """System number of each robot; see `angler_sitl.endpoints.addresses.list_addresses`."""
     max_speed_mps: float = DEFAULT_SPEED_MPS
+    """Max speed of targets."""
     fence: Fence | None = None
-    """Box that targets stay in; that of the scenario's world if None."""
+    """Box [m] in W that targets stay in; that of the scenario's world if None."""
     losses: LossLimits = field(default_factory=LossLimits)
+    """Times [s] after which a link or a position counts as lost."""
     at_end: EndAction = "hold"
-    """What flying vehicles are commanded after a loss, and at the end of the session."""
+    """Action of flying vehicles after a loss, and at the end of the session: ``hold``, ``surface``
+    or ``disarm``."""
     origin: GeodeticOrigin | None = None
-    """Position of W's origin; that of the first vehicle's filter if None."""
+    """Position of W's origin on the globe; that of the first vehicle's filter if None."""
 
 
 class EndpointSession(AutopilotSession[VehicleFleet]):
     """`Session` over vehicles behind MAVLink endpoints, on the wall clock; a context manager.
 
+    Commands, observations and shapes are those of `Session`: lengths in m in W (x east, y north, z
+    up), velocities in F. There is no truth: positions are the autopilots' estimates.
+
     Nothing is armed before `arm`. Armed robots stay where they are until they receive commands, or
     `resume_plan`. A step waits for the end of its control period; the caller must go on stepping:
-    a caller that stops is a lost ground station to the vehicles.
+    a caller that stops is a lost ground station to the vehicles. See `docs/how_to/real_vehicle.md`.
 
     Attributes:
-        outcomes: how each robot's part ended, by its name: ``flown``, ``not_flown``, or the kind of
-            a loss; empty before the end.
-        end_note: what was commanded at the end, and what was seen of it.
+        settings: vehicles and limits.
+        outcomes: outcome of each robot by its name: ``flown``, ``not_flown``, or the kind of a
+            loss; empty before the end.
+        end_note: text on the action that was commanded at the end, and its confirmation.
     """
 
     def __init__(
@@ -116,7 +123,8 @@ class EndpointSession(AutopilotSession[VehicleFleet]):
             logs: folder of telemetry logs; none are kept if left out.
             points: max number of points of a JointTrajectory.
             start_tolerance: max distance from a robot to the start of a path, m and rad.
-            tolerances: of JointTrajectories, for x, y, z and yaw; those of `paths` if left out.
+            tolerances: tolerances of JointTrajectories for x, y, z and yaw; those of `paths` if
+                left out.
 
         Raises:
             ConfigError: no such world, endpoint or limit, or a vehicle with joints.

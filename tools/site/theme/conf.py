@@ -2,6 +2,8 @@
 
 import os
 
+from tools.site.api import MOCKED
+
 project = "angler_mjx"
 copyright = "the angler_mjx contributors"
 version = release = os.environ["ANGLER_SITE_VERSION"]
@@ -24,6 +26,7 @@ myst_heading_anchors = 6
 default_role = "py:obj"
 suppress_warnings = ["myst.header"]
 
+autodoc_mock_imports = MOCKED
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"

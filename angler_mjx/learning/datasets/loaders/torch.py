@@ -37,8 +37,12 @@ class WindowDataset(Dataset):  # type: ignore[misc]
 class WindowStream(IterableDataset):  # type: ignore[misc]
     """Pass over all windows, shuffled alike for any number of workers and ranks.
 
-    An interrupted pass resumes: `seen` windows of the pass, of all ranks together, are left out.
-    ``state_dict`` and ``load_state_dict`` hold seed, epoch and number of seen windows.
+    Each item is a dict of tensors with the names, shapes and units of a window of `Windows`. An
+    interrupted pass resumes: `seen` windows of the pass, of all ranks together, are left out.
+
+    Attributes:
+        epoch: number of the pass, from 0; part of the order.
+        seen: number of windows of the pass that all ranks together have read.
     """
 
     def __init__(
@@ -57,10 +61,10 @@ class WindowStream(IterableDataset):  # type: ignore[misc]
             seed: seed of the order.
             rank: rank of this process in a distributed training.
             world_size: number of its processes.
-            group: see `shuffling.shuffle_windows`.
+            group: episodes whose windows are shuffled together.
 
         Raises:
-            ConfigError: the rank is out of range.
+            ConfigError: the rank is not one of 0 to ``world_size`` - 1.
         """
         if not 0 <= rank < world_size:
             raise ConfigError(f"rank = {rank}: must be at least 0 and less than {world_size}")
@@ -74,7 +78,11 @@ class WindowStream(IterableDataset):  # type: ignore[misc]
         return len(range(self.rank, len(self.windows), self.world_size))
 
     def __iter__(self) -> Iterator[dict[str, torch.Tensor]]:
-        """Yield the windows of this worker of this rank."""
+        """Yield the windows of this worker of this rank.
+
+        Raises:
+            ConfigError: seed, epoch or group are out of range, or a file is damaged.
+        """
         numbers = shuffling.shuffle_windows(self.windows, self.seed, self.epoch, self.group)
         info = get_worker_info()
         workers, worker = (1, 0) if info is None else (info.num_workers, info.id)
@@ -87,11 +95,11 @@ class WindowStream(IterableDataset):  # type: ignore[misc]
         return (to_tensors(self.windows[number]) for number in selected)
 
     def state_dict(self) -> dict[str, int]:
-        """Return the position, as an input of `load_state_dict`."""
+        """Return seed, epoch and number of seen windows, as an input of `load_state_dict`."""
         return {"seed": self.seed, "epoch": self.epoch, "seen": self.seen}
 
     def load_state_dict(self, state: dict[str, int]) -> None:
-        """Resume from a position."""
+        """Resume from a position that `state_dict` returned."""
         self.seed, self.epoch, self.seen = state["seed"], state["epoch"], state["seen"]
 
 

@@ -1,6 +1,6 @@
 """Executor of planners on many machines: a thin layer over a Ray cluster that a user started.
 
-Needs the extra ``ray``. See "Many planners, many machines" in docs/reference/planners.md.
+Needs the extra ``ray``; see docs/how_to/planner_pools.md.
 """
 
 import contextlib
@@ -28,14 +28,14 @@ END_S = 5.0
 
 
 class RayWorkers(Pool):
-    """A pool of actors on a Ray cluster, each with a processor and `Workers` of one process.
+    """Pool of actors on a Ray cluster, each with a processor and `Workers` of one process.
 
-    Deadlines and the handling of planners that miss them or die are those of `Workers`, and the
-    same problems have the same plans. An actor or a machine that dies costs the problem that it
-    has: it is planned again elsewhere, once.
+    Methods are those of `Pool`. Deadlines [s], and planners that miss them or die, are handled as
+    by `Workers`, and the same problems have the same plans. A problem whose actor or machine dies
+    is planned again by another actor, once.
 
-    The file of a planner is sent along. Modules that the file imports from its own folder have to
-    lie at the same path on all machines.
+    The file of a planner is sent along. Modules that the file imports from its folder have to lie
+    at the same path on all machines. See `docs/how_to/planner_pools.md`.
     """
 
     def __init__(
@@ -49,8 +49,8 @@ class RayWorkers(Pool):
             planner: planner of problems that are submitted without one, as of `Workers`.
 
         Raises:
-            ConfigError: no cluster answers; the machines have other versions installed; or there
-                are fewer processors.
+            ConfigError: the count is below 1 or above the number of processors; no cluster answers;
+                or the machines have other versions installed.
             UnsupportedError: Ray is not installed.
         """
         if count is not None and count < 1:
