@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 
 from angler_mjx import __version__
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.leaderboard import problem_files, problem_sets, sandbox, submission, submitted_plans
 from angler_mjx.leaderboard.check_results import RESULT, ProblemScore, is_complete
 from angler_mjx.leaderboard.problem_files import ProblemManifest
 from angler_mjx.leaderboard.problem_sets import FrozenBenchmark, ProblemSet
+from angler_mjx.leaderboard.program_images import ProgramImage, open_image
 from angler_mjx.leaderboard.set_scenarios import build_flown_scenario
-from angler_mjx.leaderboard.submission import Card
+from angler_mjx.leaderboard.submission import Card, ProgramConfig
 from angler_mjx.leaderboard.submitted_plans import PlanRows
 from angler_mjx.progress import Progress
 from angler_mjx.runs import multi_run
@@ -112,10 +113,8 @@ def check_submission(
         raise ConfigError(f"--sets {' '.join(sets)}: {source} enters none of them")
     if special := submission.find_special_file(source, links=True):
         raise ConfigError(f"{special}: is a pipe or device; a submission holds files and folders")
-    if card.kind == "program":
-        program = source / sandbox.FOLDER
-        if program.is_symlink() or not program.is_dir():
-            raise ConfigError(f"{program}: must be a folder, with the program of the card")
+    if card.program is not None:
+        _require_program(source, card.program)
         sandbox.require_sandbox()
     request = {
         "submission": checksums.hash_folder(source),
@@ -130,9 +129,20 @@ def check_submission(
         shutil.copyfile(source / submission.CARD, building / submission.CARD)
         (building / ANSWERS).mkdir(exist_ok=True)
         time_factor = _find_time_factor(card, building / ANSWERS / MACHINE, progress)
-        checked = _collect_plans(
-            benchmark, card, source, building, entries, manifest, secret, progress, time_factor
-        )
+        is_planned = all(_rows_file(building, entry).exists() for entry in entries)
+        with open_image(source, None if is_planned else card.program, progress) as image:
+            checked = _collect_plans(
+                benchmark,
+                card,
+                source,
+                building,
+                entries,
+                manifest,
+                secret,
+                progress,
+                time_factor,
+                image,
+            )
         if not _fly_sets([one for one in checked if one.flies], building, progress, processes):
             return False
         scores = _judge_sets(checked, building, progress)
@@ -148,6 +158,23 @@ def check_submission(
             )
         )
     return True
+
+
+def _require_program(source: Path, config: ProgramConfig) -> None:
+    """Refuse submissions without the program's folder, or with links in place of it or its image.
+
+    Raises:
+        ConfigError: one of them.
+    """
+    program = source / sandbox.FOLDER
+    is_needed = config.image is None or program.exists()
+    if program.is_symlink() or (is_needed and not program.is_dir()):
+        raise ConfigError(f"{program}: must be a folder, with the program of the card")
+    if config.image is not None and (source / config.image).is_symlink():
+        raise ConfigError(
+            f"{source / submission.CARD}: program.image = {format_value(config.image)}: is a link; "
+            "submit the file itself"
+        )
 
 
 def _find_time_factor(card: Card, path: Path, progress: Progress) -> float:
@@ -192,6 +219,10 @@ def _answer_file(building: Path, entry: ProblemSet) -> Path:
     return building / ANSWERS / f"{entry.name}.zarr"
 
 
+def _rows_file(building: Path, entry: ProblemSet) -> Path:
+    return building / ANSWERS / f"{entry.name}.npz"
+
+
 def _collect_plans(
     benchmark: FrozenBenchmark,
     card: Card,
@@ -202,6 +233,7 @@ def _collect_plans(
     secret: bytes,
     progress: Progress,
     time_factor: float,
+    image: ProgramImage,
 ) -> list[CheckedSet]:
     """Read, or make in the sandbox, the plans of all sets, and write them as they will be flown."""
     if card.program is not None:
@@ -226,8 +258,10 @@ def _collect_plans(
             continue
         if card.program is not None:
             # An interrupted check goes on with the plans, times and faults that it has.
-            stored = building / ANSWERS / f"{entry.name}.npz"
-            if not stored.exists():
+            stored = _rows_file(building, entry)
+            if not stored.exists() and image.fault:
+                submitted_plans.store_rows(stored, submitted_plans.empty_rows(entry, image.fault))
+            elif not stored.exists():
                 rows = sandbox.plan_set(
                     source,
                     card.program,
@@ -236,6 +270,7 @@ def _collect_plans(
                     record,
                     building / PROBLEMS,
                     time_factor,
+                    image.root,
                 )
                 submitted_plans.store_rows(stored, rows)
             rows = submitted_plans.load_rows(stored)

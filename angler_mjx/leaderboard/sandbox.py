@@ -1,9 +1,9 @@
 """Programs that plan, run one problem at a time in a sandbox.
 
 Bubblewrap gives a program namespaces of its own: no network, no user rights, no processes but its
-own, and no files but system libraries, its folder (read-only), the problem (read-only) and an empty
-folder for its plan. Memory, processor time, processes and what is written are limited; at the time
-limit the whole sandbox is killed.
+own, and no files but system libraries or those of its image (read-only), its folder (read-only),
+the problem (read-only) and an empty folder for its plan. Memory, processor time, processes and what
+is written are limited; at the time limit the whole sandbox is killed.
 """
 
 import contextlib
@@ -17,9 +17,10 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -51,6 +52,25 @@ ERROR_BYTES = 4096
 """Read of the end of standard error."""
 _SYSTEM_FOLDERS = ("/usr", "/bin", "/lib", "/lib64", "/etc/alternatives", "/etc/ld.so.cache")
 """Folders of programs and libraries, read-only in the sandbox."""
+DEFAULT_PATH = "/usr/local/bin:/usr/bin:/bin"
+_ISOLATION = (
+    "--unshare-all",
+    "--die-with-parent",
+    "--new-session",
+    "--cap-drop",
+    "ALL",
+    "--uid",
+    str(NOBODY),
+    "--gid",
+    str(NOBODY),
+    "--clearenv",
+    "--setenv",
+    "PATH",
+    DEFAULT_PATH,
+)
+"""First arguments of bubblewrap."""
+_OTHER_ENTRIES = ("proc", "dev", "tmp", FOLDER, "problem.zarr", "out")
+"""Entries of the sandbox's root that are no image's."""
 
 
 def require_sandbox() -> str:
@@ -97,6 +117,7 @@ def plan_set(
     record: SetRecord,
     problems: Path,
     time_factor: float = 1.0,
+    image: Path | None = None,
 ) -> PlanRows:
     """Run a program once for each problem of a set, and gather its plans.
 
@@ -111,6 +132,7 @@ def plan_set(
         problems: folder of problem files.
         time_factor: times as long as the reference core that a core of this machine needs; the
             time limit is so many times as long.
+        image: folder of the program's image, unpacked; without one it has the system's folders.
     """
     bubblewrap = require_sandbox()
     start_s = _measure_start(bubblewrap)
@@ -127,10 +149,24 @@ def plan_set(
                 world,
                 time_factor,
                 start_s,
+                image,
             )
             for world in range(entry.problems)
         ]
     )
+
+
+@contextlib.contextmanager
+def open_scratch() -> Iterator[Path]:
+    """Make a folder that users of sandboxes may enter, and delete it afterwards."""
+    folder = Path(tempfile.mkdtemp(prefix="angler-sandbox-"))
+    try:
+        folder.chmod(0o755)
+        yield folder
+    finally:
+        # Python itself cannot delete a thousand folders in each other.
+        for command in (("chmod", "-R", "u+rwX"), ("rm", "-rf")):
+            subprocess.run([*command, folder], stderr=subprocess.DEVNULL, check=False)
 
 
 def _measure_start(bubblewrap: str) -> float:
@@ -144,9 +180,7 @@ def _measure_start(bubblewrap: str) -> float:
     config = ProgramConfig(command=("/usr/bin/true",))
     forking = ProgramConfig(command=("/bin/sh", "-c", "/usr/bin/true; exit $?"))
     times = []
-    with tempfile.TemporaryDirectory(prefix="angler-sandbox-") as name:
-        folder = Path(name)
-        folder.chmod(0o755)
+    with open_scratch() as folder:
         for part in (FOLDER, "problem.zarr", "out"):
             (folder / part).mkdir()
         for tried in (forking, *(config for _ in range(STARTS))):
@@ -171,19 +205,19 @@ def _plan_problem(
     world: int,
     time_factor: float,
     start_s: float,
+    image: Path | None,
 ) -> PlanRows:
     limit_s = time_factor * entry.limit_s
     single = problem_sets.single_problem(entry)
-    with tempfile.TemporaryDirectory(prefix="angler-sandbox-") as name:
-        folder = Path(name)
-        folder.chmod(0o755)
+    with open_scratch() as folder:
         # A link is copied as it is: in the sandbox it leads to nothing of the judge.
-        shutil.copytree(source / FOLDER, folder / FOLDER, symlinks=True)
+        if (source / FOLDER).exists():
+            shutil.copytree(source / FOLDER, folder / FOLDER, symlinks=True)
         extract_problem(problems / f"{entry.name}.zarr", world, folder / "problem.zarr")
         (folder / "out").mkdir()
         (folder / "out").chmod(0o777)
         begin = time.perf_counter()
-        fault = run_program(bubblewrap, config, folder, limit_s)
+        fault = run_program(bubblewrap, config, folder, limit_s, image)
         seconds = max(0.0, time.perf_counter() - begin - start_s)
         if seconds > limit_s and not fault:
             fault = _describe_late(limit_s)
@@ -233,44 +267,33 @@ def extract_problem(group: Path, world: int, out: Path) -> None:
         (target / "zarr.json").write_text(json.dumps(metadata), encoding="utf-8")
 
 
-def run_program(bubblewrap: str, config: ProgramConfig, folder: Path, limit_s: float) -> str:
+def run_program(
+    bubblewrap: str, config: ProgramConfig, folder: Path, limit_s: float, image: Path | None = None
+) -> str:
     """Run a program on one problem; returns what went wrong, or an empty text.
 
     Args:
         bubblewrap: path of it.
         config: command and limits.
-        folder: with ``program``, ``problem.zarr``, and ``out`` for the plan.
+        folder: with ``program``, which an image may do without, ``problem.zarr``, and ``out`` for
+            the plan.
         limit_s: planning time.
+        image: folder that is seen as the root; without one the system's folders are.
     """
-    command = [
-        *_limit_resources(config, limit_s),
-        bubblewrap,
-        "--unshare-all",
-        "--die-with-parent",
-        "--new-session",
-        "--cap-drop",
-        "ALL",
-        "--uid",
-        str(NOBODY),
-        "--gid",
-        str(NOBODY),
-        "--clearenv",
-        "--setenv",
-        "PATH",
-        "/usr/local/bin:/usr/bin:/bin",
-        *(part for path in _SYSTEM_FOLDERS for part in _bind_system(path)),
+    program = folder / FOLDER
+    arguments = [
+        *(part for name, value in config.environment.items() for part in ("--setenv", name, value)),
+        *(bind_system_folders() if image is None else _bind_image(image)),
         "--proc",
         "/proc",
         "--dev",
         "/dev",
         *(
             part
-            for folder in ("/dev/shm", "/tmp")
-            for part in ("--size", str(MAX_WRITTEN_BYTES), "--tmpfs", folder)
+            for path in ("/dev/shm", "/tmp")
+            for part in ("--size", str(MAX_WRITTEN_BYTES), "--tmpfs", path)
         ),
-        "--ro-bind",
-        str(folder / FOLDER),
-        "/program",
+        *(("--ro-bind", str(program), f"/{FOLDER}") if program.exists() else ()),
         "--ro-bind",
         str(folder / "problem.zarr"),
         "/problem.zarr",
@@ -283,67 +306,164 @@ def run_program(bubblewrap: str, config: ProgramConfig, folder: Path, limit_s: f
         "--remount-ro",
         "/",
         "--chdir",
-        "/program",
-        # Inside, where the kernel counts the processes of the sandbox alone; outside it would count
-        # all of the person who judges. Bubblewrap itself has two.
-        "prlimit",
-        f"--nproc={config.processes + 3}",
+        f"/{FOLDER}" if program.exists() else "/",
         "--",
         *config.command,
         "/problem.zarr",
         "/out/plan.zarr",
     ]
-    with tempfile.TemporaryFile() as errors:
-        process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=errors,
-            start_new_session=True,
-            **_unprivileged(),
-        )
-        fault = _watch_process(process, folder / "out", limit_s)
+    limits = {
+        "as": int(config.memory_gib * 2**30),
+        "cpu": max(1, math.ceil(limit_s * config.processes)),
+        "fsize": MAX_WRITTEN_BYTES,
+        "core": 0,
+        "nofile": 256,
+    }
+    check = partial(check_written, folder / "out")
+    return run_sandbox(
+        bubblewrap, arguments, limits, config.processes, limit_s, check, unprivileged()
+    )
+
+
+def run_sandbox(
+    bubblewrap: str,
+    arguments: Sequence[str],
+    limits: Mapping[str, int],
+    processes: int,
+    limit_s: float,
+    check: Callable[[], str],
+    user: Mapping[str, Any],
+    stdin: IO[bytes] | int = subprocess.DEVNULL,
+    poll_s: float = POLL_S,
+) -> str:
+    """Run a command in namespaces of its own; returns what went wrong, or an empty text.
+
+    Nothing of the sandbox runs any more when this returns or raises.
+
+    Args:
+        bubblewrap: path of it.
+        arguments: of it: what is seen, and the command behind ``--``.
+        limits: by the names of ``prlimit``, for each process.
+        processes: processes and threads together.
+        limit_s: wall-clock time.
+        check: returns what is wrong with what was written so far.
+        user: of the process, as `subprocess.Popen` takes it.
+        stdin: file of the standard input.
+        poll_s: time between two checks.
+    """
+    info_read, info = os.pipe()
+    hold, release = os.pipe()
+    command = [
+        shutil.which("prlimit") or "prlimit",
+        *(f"--{name}={limit}" for name, limit in limits.items()),
+        bubblewrap,
+        *_ISOLATION,
+        "--info-fd",
+        str(info),
+        "--block-fd",
+        str(hold),
+        *arguments,
+    ]
+    with (
+        tempfile.TemporaryFile() as errors,
+        open(info_read, "rb") as info_file,
+        open(release, "wb", buffering=0) as release_file,
+    ):
+        try:
+            process = subprocess.Popen(
+                command,
+                stdin=stdin,
+                stdout=subprocess.DEVNULL,
+                stderr=errors,
+                start_new_session=True,
+                pass_fds=(info, hold),
+                env={},  # a program can read it in /proc/1
+                **user,
+            )
+        finally:
+            os.close(info)
+            os.close(hold)
+        first = None
+        try:
+            if text := info_file.read():
+                first = json.loads(text)["child-pid"]
+                _release(process, first, processes, user, release_file)
+            fault = _watch_process(process, check, limit_s, poll_s)
+        finally:
+            if process.poll() is None:
+                # All others of the sandbox end before its first process does.
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(first or process.pid, signal.SIGKILL)
+            process.wait()
+        fault = fault or check()
         errors.seek(max(0, errors.seek(0, os.SEEK_END) - ERROR_BYTES))
         lines = errors.read().decode(errors="replace").strip().splitlines()
-    if fault or process.returncode == 0:
-        return fault
-    text = f": {lines[-1][:200]}" if lines else ""
-    if process.returncode in (128 + signal.SIGXCPU, 128 + signal.SIGKILL):
+    return fault or _describe_end(process.returncode, f": {lines[-1][:200]}" if lines else "")
+
+
+def _release(
+    process: subprocess.Popen[bytes],
+    first: int,
+    processes: int,
+    user: Mapping[str, Any],
+    release: IO[bytes],
+) -> None:
+    """Limit the number of processes of a sandbox, whose first one waits for it, and let it begin.
+
+    The limit is set inside, where the kernel counts the processes of the sandbox alone; outside it
+    would count all of the person who judges. It is set from outside, since an image may lack
+    ``prlimit``, and by the sandbox's user, since root may lack the right.
+    """
+    # Bubblewrap itself has two.
+    command = ["prlimit", f"--pid={first}", f"--nproc={processes + 3}"]
+    if subprocess.run(command, stderr=subprocess.DEVNULL, check=False, **user).returncode:
+        process.kill()
+        return
+    with contextlib.suppress(BrokenPipeError):
+        release.write(b"x")
+
+
+def _describe_end(status: int, text: str) -> str:
+    """Return what went wrong by the exit status; empty if nothing did."""
+    if status == 0:
+        return ""
+    if status in (128 + signal.SIGXCPU, 128 + signal.SIGKILL):
         return f"was killed at a limit of time or memory{text}"
-    if process.returncode == 128 + signal.SIGXFSZ:
+    if status == 128 + signal.SIGXFSZ:
         return f"wrote a file of more than {MAX_WRITTEN_BYTES // 2**20} MiB{text}"
     names = {128 + number: number.name for number in signal.Signals}
-    if process.returncode in names:
-        return f"was ended by the signal {names[process.returncode]}{text}"
-    return f"ended with status {process.returncode}{text}"
+    if status in names:
+        return f"was ended by the signal {names[status]}{text}"
+    return f"ended with status {status}{text}"
 
 
-def _watch_process(process: subprocess.Popen[bytes], out: Path, limit_s: float) -> str:
-    """Wait for the end of a sandbox, or end it for its time or what it wrote; returns why."""
+def _watch_process(
+    process: subprocess.Popen[bytes], check: Callable[[], str], limit_s: float, poll_s: float
+) -> str:
+    """Wait for the end of a sandbox, its time limit, or a fault of what it wrote; returns it."""
     end = time.perf_counter() + limit_s + GRACE
     ended = os.pidfd_open(process.pid)
     try:
         fault = ""
-        while not fault and not select.select([ended], [], [], POLL_S)[0]:
-            fault = _check_written(out)
+        while not fault and not select.select([ended], [], [], poll_s)[0]:
+            fault = check()
             if time.perf_counter() > end:
                 fault = _describe_late(limit_s)
-        if fault:
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+        return fault
     finally:
         os.close(ended)
-    return fault or _check_written(out)
 
 
-def _check_written(out: Path) -> str:
-    """Return what is wrong with the amount of files in a program's folder; empty if nothing is."""
+def check_written(
+    out: Path, max_files: int = MAX_WRITTEN_FILES, max_bytes: int = MAX_WRITTEN_BYTES
+) -> str:
+    """Return what is wrong with the amount of files in a folder; empty if nothing is."""
     files = size = 0
     folders = [out]
     while folders:
         try:
             with os.scandir(folders.pop()) as found:
-                entries = list(itertools.islice(found, MAX_WRITTEN_FILES + 1))
+                entries = list(itertools.islice(found, max_files + 1))
         except FileNotFoundError:  # removed since
             continue
         except OSError as error:
@@ -354,8 +474,8 @@ def _check_written(out: Path) -> str:
                 size += entry.stat(follow_symlinks=False).st_size
                 if entry.is_dir(follow_symlinks=False):
                     folders.append(Path(entry.path))
-        if files > MAX_WRITTEN_FILES or size > MAX_WRITTEN_BYTES:
-            return f"wrote more than {MAX_WRITTEN_FILES} files or {MAX_WRITTEN_BYTES // 2**20} MiB"
+        if files > max_files or size > max_bytes:
+            return f"wrote more than {max_files} files or {max_bytes // 2**20} MiB"
     return ""
 
 
@@ -363,7 +483,7 @@ def _describe_late(limit_s: float) -> str:
     return f"did not end within {limit_s:.3g} s"
 
 
-def _unprivileged() -> dict[str, Any]:
+def unprivileged() -> dict[str, Any]:
     """Return the user that a sandbox runs as: a number of its own, where this process is root.
 
     The kernel limits the processes of users other than root only, and those before Linux 5.14 count
@@ -375,24 +495,22 @@ def _unprivileged() -> dict[str, Any]:
     return {"user": number, "group": number, "extra_groups": []}
 
 
-def _bind_system(path: str) -> Sequence[str]:
-    """Return bubblewrap's arguments for a system folder, or its link."""
-    if os.path.islink(path):
-        return ("--symlink", os.readlink(path), path)
-    return ("--ro-bind", path, path) if os.path.exists(path) else ()
+def bind_system_folders() -> list[str]:
+    """Return bubblewrap's arguments for the system's folders."""
+    return [part for path in _SYSTEM_FOLDERS for part in _bind(path, path)]
 
 
-def _limit_resources(config: ProgramConfig, limit_s: float) -> list[str]:
-    """Return the command that limits the sandbox's processes, to stand before it."""
-    seconds = max(1, math.ceil(limit_s * config.processes))
-    limits = {
-        "as": int(config.memory_gib * 2**30),
-        "cpu": seconds,
-        "fsize": MAX_WRITTEN_BYTES,
-        "core": 0,
-        "nofile": 256,
-    }
-    return ["prlimit", *(f"--{name}={limit}" for name, limit in limits.items())]
+def _bind_image(image: Path) -> list[str]:
+    """Return bubblewrap's arguments for the entries of an image's root."""
+    names = sorted(set(os.listdir(image)) - set(_OTHER_ENTRIES))
+    return [part for name in names for part in _bind(str(image / name), f"/{name}")]
+
+
+def _bind(source: str, path: str) -> Sequence[str]:
+    """Return bubblewrap's arguments for a folder, file or link, to be seen at a path."""
+    if os.path.islink(source):
+        return ("--symlink", os.readlink(source), path)
+    return ("--ro-bind", source, path) if os.path.exists(source) else ()
 
 
 def merge_rows(parts: Sequence[PlanRows]) -> PlanRows:

@@ -3,10 +3,12 @@
     card.toml           who, what, on which machine, and which sets are entered
     plans/SET.zarr      a file of plans for each set; see `submitted_plans`
     program             a program that plans; see `sandbox`
+    image.tar           files of a container for the program; see `program_images`
 
 A card that cannot be understood is refused.
 """
 
+import re
 import stat
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -22,6 +24,7 @@ from angler_mjx.user_classes import is_class_of_file
 CARD, PLANS = "card.toml", "plans"
 _PINNED = ("deadline_s", "points")
 """Keys of a scenario's ``planner`` that are the benchmark's."""
+_IMAGE_NAME = re.compile(r"\w[\w.-]{0,199}", re.ASCII)
 NO_POLICY = "none"
 """Policy of robots that fly their plans."""
 MIN_REPLAN_HZ = 0.1
@@ -29,16 +32,33 @@ MIN_REPLAN_HZ = 0.1
 horizon, 120 s."""
 
 type Text = Annotated[str, Field(min_length=1, max_length=2000)]
+type Argument = Annotated[str, Field(max_length=2000, pattern=r"^[^\x00]*$")]
+type VariableName = Annotated[str, Field(max_length=200, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 
 
 class ProgramConfig(FileModel):
     """A program that plans problem by problem, run in a sandbox."""
 
-    command: Annotated[tuple[str, ...], Field(min_length=1, max_length=64)]
+    command: Annotated[tuple[Argument, ...], Field(min_length=1, max_length=64)]
     """Program and arguments; relative to the submission's folder ``program``. It receives the paths
     of the problem and of the plan to write as two further arguments."""
+    image: str | None = None
+    """Name of a file in the submission's folder: the file system of a container as a tar file. The
+    program sees it in place of the system's folders."""
+    environment: dict[VariableName, Argument] = Field(default_factory=dict, max_length=64)
+    """Environment variables."""
     memory_gib: Annotated[float, Field(gt=0, le=64)] = 4.0
     processes: Annotated[int, Field(ge=1, le=256)] = 16
+
+    @field_validator("image")
+    @classmethod
+    def _require_name(cls, name: str | None) -> str | None:
+        if name is not None and not _IMAGE_NAME.fullmatch(name):
+            raise ValueError(
+                "must be the name of a tar file in the submission's folder, such as 'image.tar', "
+                "in letters, digits, '.', '_' and '-'"
+            )
+        return name
 
 
 class InFlightConfig(FileModel):

@@ -5,6 +5,9 @@ import json
 import numpy as np
 import zarr
 
+from angler_mjx.leaderboard import sandbox
+from angler_mjx.leaderboard.submission import ProgramConfig
+
 CARD = """schema_version = 1
 benchmark = "ANGLER-1 1.0"
 name = "straight lines"
@@ -47,3 +50,13 @@ def write_plans(folder, name, arrays, attributes):
     group.attrs.update(attributes)
     for key, values in arrays.items():
         group.create_array(key, data=values)
+
+
+def run_command(*command, image=None, with_program=False, limit_s=20.0, **config):
+    """Run a command in a sandbox with an empty problem; returns its fault."""
+    with sandbox.open_scratch() as folder:
+        for part in ("problem.zarr", "out", *(["program"] if with_program else [])):
+            (folder / part).mkdir()
+        (folder / "out").chmod(0o777)
+        program = ProgramConfig(command=command, **config)
+        return sandbox.run_program(sandbox.require_sandbox(), program, folder, limit_s, image)

@@ -15,6 +15,7 @@ from angler_mjx.leaderboard import (
     entering,
     problem_files,
     problem_sets,
+    program_images,
     set_scenarios,
 )
 from angler_mjx.leaderboard.board import BASELINES
@@ -211,6 +212,48 @@ def test_a_program_must_be_there(tmp_path, manifest):
     (tmp_path / "s" / "program").symlink_to("/usr")
     with pytest.raises(ConfigError, match="program: must be a folder"):
         checking.check_submission(tmp_path / "s", tmp_path / "o", Progress(), manifest=manifest)
+
+
+def write_image_card(folder):
+    write_card(folder, [NAME], kind=('kind = "plans"', 'kind = "program"'))
+    with (folder / "card.toml").open("a") as file:
+        file.write('[program]\ncommand = ["./a"]\nimage = "image.tar"\n')
+
+
+def test_an_image_that_is_a_link_is_refused(tmp_path, manifest):
+    write_image_card(tmp_path / "s")
+    (tmp_path / "image").touch()
+    (tmp_path / "s" / "image.tar").symlink_to(tmp_path / "image")
+    with pytest.raises(ConfigError, match=r"card.toml: program.image = 'image.tar': is a link; "):
+        checking.check_submission(tmp_path / "s", tmp_path / "o", Progress(), manifest=manifest)
+
+
+def test_an_image_is_unpacked_once_and_its_fault_fails_all_problems(
+    tmp_path, monkeypatch, manifest
+):
+    """A program with an image needs no folder."""
+    write_image_card(tmp_path / "s")
+    monkeypatch.setattr(checking.sandbox, "require_sandbox", lambda: "bwrap")
+    monkeypatch.setattr(checking.graph_search, "measure_time_factor", lambda: 1.0)
+    unpacked, unpack = [], program_images._unpack
+    monkeypatch.setattr(
+        program_images, "_unpack", lambda *paths: unpacked.append(paths) or unpack(*paths)
+    )
+    out, judge_sets = tmp_path / "o", checking._judge_sets
+    monkeypatch.setattr(checking, "_judge_sets", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        checking.check_submission(tmp_path / "s", out, Progress(), manifest=manifest)
+    monkeypatch.setattr(checking, "_judge_sets", judge_sets)
+    assert checking.check_submission(
+        tmp_path / "s", out, Progress(), manifest=manifest, resume=True
+    )
+    assert [row["reason"] for row in scores(out).values()] == ["image.tar is missing"] * 2
+    assert len(unpacked) == 1
+    assert not unpacked[0][1].exists()
+
+
+def interrupt(*_):
+    raise KeyboardInterrupt
 
 
 @pytest.mark.parametrize("planner", ["grid", "RRTConnect"])

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,6 +15,8 @@ from angler_mjx.errors import UnsupportedError
 from angler_mjx.leaderboard import problem_files, sandbox
 from angler_mjx.leaderboard.submission import ProgramConfig
 from angler_mjx.leaderboard.submitted_plans import PlanRows
+
+from .submitting import run_command
 
 NAME = "open-still-known-01"
 try:
@@ -183,7 +186,7 @@ def test_processes_of_the_judge_do_not_count_as_the_programs(run, monkeypatch):
     """Whoever judges as an ordinary user has more processes than a program may start."""
     if os.geteuid() == 0:
         user = {"user": 54321, "group": 54321, "extra_groups": []}
-        monkeypatch.setattr(sandbox, "_unprivileged", lambda: user)
+        monkeypatch.setattr(sandbox, "unprivileged", lambda: user)
     else:
         user = {}
     others = [subprocess.Popen(["/usr/bin/sleep", "60"], **user) for _ in range(30)]
@@ -231,6 +234,57 @@ def test_a_program_sees_its_problem_alone(run):
         "tmp",
         "usr",
     }
+
+
+@needs_sandbox
+@needs_python
+def test_a_program_has_the_environment_of_its_card_and_not_the_judges(run, monkeypatch):
+    monkeypatch.setenv("JUDGE_TOKEN", "0123")
+    code = "import os, sys; sys.exit(os.environ['SEED'] + open('/proc/1/environ').read())"
+    assert run(code, environment={"SEED": "a b"}).faults[0] == "ended with status 1: a b"
+
+
+@needs_sandbox
+def test_a_command_is_no_option_of_the_sandbox():
+    assert "execvp --version: No such file" in run_command("--version")
+
+
+@needs_sandbox
+def test_nothing_runs_without_a_limit_of_processes(monkeypatch):
+    run = subprocess.run
+
+    def fail_limit(command, **options):
+        if command[0] == "prlimit":
+            return subprocess.CompletedProcess(command, 1)
+        return run(command, **options)
+
+    assert run_command("/usr/bin/true") == ""
+    monkeypatch.setattr(subprocess, "run", fail_limit)
+    assert run_command("/usr/bin/true").startswith("ended with status -9")
+
+
+@needs_sandbox
+def test_an_interrupt_ends_the_sandbox(monkeypatch):
+    processes = []
+
+    def interrupt(process, *_):
+        processes.append(process)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sandbox, "_watch_process", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        run_command("/usr/bin/sleep", "60")
+    assert [process.returncode for process in processes] == [128 + signal.SIGKILL]
+
+
+def test_folders_are_deleted_however_deep_they_are(monkeypatch):
+    with sandbox.open_scratch() as folder:
+        monkeypatch.chdir(folder)
+        for _ in range(2000):
+            os.mkdir("a", 0o700)
+            os.chdir("a")
+        os.chmod(folder / "a", 0)
+    assert not folder.exists()
 
 
 def test_a_problem_of_a_set_becomes_world_0_of_a_file(problems, tmp_path):

@@ -267,6 +267,30 @@ def test_a_folder_without_a_card_is_refused(tmp_path):
         submission.read_card(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (
+            'image = "../image.tar"',
+            r"card\.toml: .*\s+program\.image = '\.\./image\.tar': must be the name of a tar file",
+        ),
+        ('image = "/image.tar"', "in the submission's folder, such as 'image.tar'"),
+        ('image = "a/image.tar"', "such as 'image.tar'"),
+        ('image = ".."', "program.image = '..': must be the name"),
+        ('image = ""', "program.image = '': must be the name"),
+        ('environment = { "A=B" = "c" }', "program.environment.*A=B"),
+        ('environment = { A = "a\\u0000b" }', "program.environment.A"),
+        ("environment = { A = 1 }", "program.environment.A"),
+    ],
+)
+def test_an_image_or_environment_that_cannot_be_is_refused(tmp_path, line, message):
+    write_card(tmp_path, [NAME], kind=('kind = "plans"', 'kind = "program"'))
+    with (tmp_path / "card.toml").open("a") as file:
+        file.write(f'[program]\ncommand = ["./a"]\n{line}\n')
+    with pytest.raises(ConfigError, match=message):
+        submission.read_card(tmp_path)
+
+
 @pytest.mark.parametrize("part", ["planner", "policy"])
 def test_no_code_of_a_card_runs_in_the_judges_process(tmp_path, part):
     code = tmp_path / "code.py"
