@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import UnsupportedError
-from angler_mjx.leaderboard import problem_files, program_images, sandbox
+from angler_mjx.leaderboard import checking, problem_files, program_images, sandbox
 from angler_mjx.leaderboard.submission import ProgramConfig
+from angler_mjx.leaderboard.submitted_plans import empty_rows
 from angler_mjx.progress import Progress
 
-from .submitting import run_command
+from .submitting import run_command, write_card
 
-NAME = "open-still-known-01"
+NAME, OTHER = "open-still-known-01", "open-ocean-known-01"
 SHORTEST = Path(__file__).parents[3] / "docs" / "examples" / "shortest.cpp"
 try:
     sandbox.require_sandbox()
@@ -138,6 +139,26 @@ def test_a_planner_in_an_image_plans_each_problem(tmp_path, problems, benchmark,
         np.testing.assert_allclose(
             rows.arrays["position_m"][world, 0, last], np.frombuffer(goal, "<f4"), atol=1e-5
         )
+
+
+def test_a_check_unpacks_an_image_once_for_all_sets(tmp_path, monkeypatch, manifest):
+    source, roots = tmp_path / "s", []
+    write_card(source, [NAME, OTHER], kind=('kind = "plans"', 'kind = "program"'))
+    with (source / "card.toml").open("a") as file:
+        file.write('[program]\ncommand = ["/a"]\nimage = "image.tar"\n')
+    write_image(source / "image.tar", {"a": b"1"})
+
+    def plan_set(*arguments):
+        roots.append(arguments[-1])
+        assert (arguments[-1] / "a").read_bytes() == b"1"
+        return empty_rows(arguments[2], "late")
+
+    monkeypatch.setattr(checking.graph_search, "measure_time_factor", lambda: 1.0)
+    monkeypatch.setattr(sandbox, "plan_set", plan_set)
+    assert checking.check_submission(source, tmp_path / "o", Progress(), manifest=manifest)
+    assert len(roots) == 2
+    assert len(set(roots)) == 1
+    assert not roots[0].exists()
 
 
 def test_a_program_sees_the_files_of_its_image_alone(run):
