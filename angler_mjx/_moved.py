@@ -33,6 +33,7 @@ MOVED = {
     "angler_mjx.report.viewing.outlines": "angler_mjx.report.plotting.outlines",
     "angler_mjx.report.viewing.scene": "angler_mjx.report.plotting.scene",
     "angler_mjx.report.viewing.style": "angler_mjx.report.plotting.style",
+    "angler_mjx.scenario.reference": "angler_mjx.cli.reference",
     "angler_mjx.studies.cells": "angler_mjx.studies.sweep",
     "angler_mjx.runs.progress": "angler_mjx.progress",
     "angler_mjx.runs.session.batch": "angler_mjx.runs.session.batch_session",
