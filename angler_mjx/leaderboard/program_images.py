@@ -94,8 +94,8 @@ def _unpack(path: Path, root: Path) -> str:
     arguments = [
         *("--setenv", "LC_ALL", "C"),
         *sandbox.bind_system_folders(),
-        *("--proc", "/proc", "--dev", "/dev", "--bind", str(root), "/root"),
-        *("--remount-ro", "/dev", "--remount-ro", "/", "--chdir", "/root"),
+        *("--proc", "/proc", "--dev", "/dev", "--bind", str(root), "/image"),
+        *("--remount-ro", "/dev", "--remount-ro", "/", "--chdir", "/image"),
         *("--", "/bin/sh", "-c", _UNPACK),
     ]
     limits = {
